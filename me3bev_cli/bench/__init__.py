@@ -1,0 +1,1 @@
+"""Latency of the pipeline and of its stages."""

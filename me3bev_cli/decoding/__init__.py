@@ -1,0 +1,1 @@
+"""The semantic decoder, its training and its pictures."""

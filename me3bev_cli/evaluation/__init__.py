@@ -1,0 +1,1 @@
+"""Episode runner, reference drivers, metrics and tables."""

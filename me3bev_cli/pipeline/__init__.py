@@ -1,0 +1,1 @@
+"""From observation to action: sensor, assemble, policy, control, in flow order."""

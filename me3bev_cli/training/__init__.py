@@ -1,0 +1,1 @@
+"""Sequence PPO, its rollout storage, checkpoints and runs."""
