@@ -18,7 +18,13 @@ from me3bev_cli.pipeline.sensor import VECTOR_WIDTHS, Sensor
 if TYPE_CHECKING:
     from me3bev_cli.recipe import PluginChoice, Recipe
 
-ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.SiLU, "tanh": nn.Tanh}
+ACTIVATIONS: dict[str, type[nn.Module]] = {
+    "relu": nn.ReLU,
+    "silu": nn.SiLU,
+    "tanh": nn.Tanh,
+    "elu": nn.ELU,
+    "gelu": nn.GELU,
+}
 
 
 def pick_device(name: str) -> torch.device:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -15,6 +16,14 @@ from me3bev_cli.pipeline.network import Network
 STARTS = "episode_starts"
 STATE = "state"
 """Keys that a minibatch carries beside the observations: (B, P + L) bool and the stored memory."""
+
+PARTS = {
+    "spatial": ("spatial",),
+    "encoders": ("encoders",),
+    "temporal": ("memory",),
+    "fusion": ("projection", "fusion"),
+}
+"""A recipe's name of a part that can be frozen -> the network's modules."""
 
 
 class DrivingPolicy(BasePolicy):
@@ -32,18 +41,19 @@ class DrivingPolicy(BasePolicy):
     ) -> None:
         super().__init__(observation_space, action_space, squash_output=False, normalize_images=False)
         self.network = network
-        for part in frozen:
-            getattr(network, part).requires_grad_(False)
-        self.frozen = frozen
+        named = [getattr(network, module) for part in frozen for module in PARTS[part]]
+        self.frozen = [module for module in named if module is not None]
+        for module in self.frozen:
+            module.requires_grad_(False)
         trained = [p for p in network.parameters() if p.requires_grad]
         self.optimizer = torch.optim.Adam(trained, lr=lr_schedule(1), eps=1e-5)
-        self.before_minibatch: Any = None
+        self.before_minibatch: Callable[[], None] | None = None
 
     def set_training_mode(self, mode: bool) -> None:
         """Frozen parts stay in evaluation mode."""
         super().set_training_mode(mode)
-        for part in self.frozen:
-            getattr(self.network, part).eval()
+        for module in self.frozen:
+            module.eval()
 
     def evaluate_actions(self, obs: PyTorchObs, actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, log-probabilities and entropies (B L,) of segments, as PPO's loss needs them."""
