@@ -25,13 +25,10 @@ def bench_latency(
     from me3bev_cli.bench.latency import measure
     from me3bev_cli.output import write_json
     from me3bev_cli.pipeline.assemble import pick_device
-    from me3bev_cli.recipe_check import check_recipe
     from me3bev_cli.recipe_loading import resolve_recipe, shipped_recipes
 
     names = recipes or [name for name in shipped_recipes() if name not in ("quickstart", "small")]
     loaded = [resolve_recipe(name) for name in names]
-    for recipe in loaded:
-        check_recipe(recipe)
     if threads is not None:
         torch.set_num_threads(threads)
     place = pick_device(device)

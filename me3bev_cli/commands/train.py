@@ -36,12 +36,10 @@ def train(
         run = open_run(resume)
         loaded = resolve_recipe(str(run / "recipe.yaml"))
     else:
-        from me3bev_cli.recipe_check import check_recipe
         from me3bev_cli.training.run import new_run
 
         assert recipe is not None
         loaded = resolve_recipe(recipe, overrides or [])
-        check_recipe(loaded)
         run = new_run(loaded, dump(loaded), out)
     _run(loaded, run, threads, json)
 
