@@ -1,0 +1,70 @@
+"""OpenDRIVE files as towns: `read_town` reads a user's map and the built-in ones alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from me3bev_plugins.simulator.highway.opendrive.document import read_document
+from me3bev_plugins.simulator.highway.opendrive.junctions import Crossing, find_crossings
+from me3bev_plugins.simulator.highway.opendrive.lanes import HIGHWAY, Network, build_network
+from me3bev_plugins.simulator.highway.opendrive.limits import assign_limits
+from me3bev_plugins.simulator.highway.opendrive.shapes import section_shapes
+from me3bev_plugins.simulator.highway.town import Junction, Lane, Town
+
+__all__ = ["read_town"]
+
+
+def read_town(source: Path | bytes, name: str) -> Town:
+    """A town from an OpenDRIVE file, plain or gzipped.
+
+    Args:
+        source: path of the file, or its bytes.
+        name: of the town; scenery grows from it, so the same name gives the same houses.
+
+    Raises:
+        MapError: the file cannot be read, is damaged, or holds no closed course.
+    """
+    document = read_document(source, name)
+    shapes = section_shapes(document)
+    network = build_network(document, shapes, frozenset())
+    assign_limits(document, network)
+    crossings = find_crossings(network)
+    return Town(name=name, lanes=_lanes(network, crossings), junctions=_junctions(crossings))
+
+
+def _lanes(network: Network, crossings: list[Crossing]) -> tuple[Lane, ...]:
+    number = {crossing.name: index for index, crossing in enumerate(crossings)}
+    return tuple(
+        Lane(
+            id=index,
+            points=draft.points,
+            width=draft.width,
+            limit=draft.limit,
+            successors=tuple(draft.successors),
+            predecessors=tuple(draft.predecessors),
+            left=draft.left,
+            right=draft.right,
+            junction=number[draft.junction] if draft.junction is not None else None,
+            turn=draft.turn if draft.junction is not None else "straight",
+            left_marking=draft.left_marking,
+            right_marking=draft.right_marking,
+            highway=(draft.nominal or 0.0) > HIGHWAY,
+        )
+        for index, draft in enumerate(network.lanes)
+    )
+
+
+def _junctions(crossings: list[Crossing]) -> tuple[Junction, ...]:
+    return tuple(
+        Junction(
+            id=index,
+            connectors=crossing.connectors,
+            incoming=crossing.incoming,
+            outgoing=crossing.outgoing,
+            control=crossing.control,
+            arms=len(crossing.arms),
+            minor=crossing.minor,
+            centre=crossing.centre,
+        )
+        for index, crossing in enumerate(crossings)
+    )

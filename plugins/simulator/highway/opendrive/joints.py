@@ -1,0 +1,99 @@
+"""Make lanes meet: one shared point per joint, and only what can be driven for ever."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from me3bev_plugins.simulator.highway.town import Floats
+
+EASE = 2.0
+"""Metres over which the smallest gap is spread."""
+STRETCH = 18.0
+"""Metres over which a gap of one metre is spread, so that no lane kinks."""
+
+
+def share_joints(points: list[Floats], successors: Sequence[Sequence[int]]) -> list[Floats]:
+    """Lane points moved so that joined ends are the same point, bit for bit.
+
+    Args:
+        points: (P, 3) of each lane in driving direction.
+        successors: lanes that follow each lane.
+    """
+    count = len(points)
+    parent = list(range(2 * count))  # Start of lane i is 2 i, its end 2 i + 1.
+
+    def find(node: int) -> int:
+        while parent[node] != node:
+            parent[node] = parent[parent[node]]
+            node = parent[node]
+        return node
+
+    for lane, targets in enumerate(successors):
+        for target in targets:
+            parent[find(2 * lane + 1)] = find(2 * target)
+    ends = np.array([p[i] for p in points for i in (0, -1)]).reshape(-1, 3)
+    roots = np.array([find(node) for node in range(2 * count)], dtype=np.int64)
+    total = np.zeros((2 * count, 3))
+    np.add.at(total, roots, ends)
+    shared = total / np.maximum(np.bincount(roots, minlength=2 * count), 1)[:, None]
+    return [_move_ends(p, shared[roots[2 * i]], shared[roots[2 * i + 1]]) for i, p in enumerate(points)]
+
+
+def _move_ends(points: Floats, first: Floats, last: Floats) -> Floats:
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))])
+    moved = points + _fade(s, first - points[0]) + _fade(s[-1] - s, last - points[-1])
+    moved[0], moved[-1] = first, last
+    return moved
+
+
+def _fade(distance: Floats, shift: Floats) -> Floats:
+    """(P, 3) the shift at distance 0, smoothly gone further on and always gone at the other end."""
+    reach = min(max(EASE, STRETCH * float(np.hypot(shift[0], shift[1]))), float(distance.max()))
+    x = np.clip(distance / max(reach, 1e-9), 0.0, 1.0)
+    return (1.0 - x * x * (3.0 - 2.0 * x))[:, None] * shift
+
+
+def strongest_component(successors: Sequence[Sequence[int]], weights: Sequence[float]) -> list[bool]:
+    """Which nodes belong to the strongly connected component of the greatest weight (Tarjan, without recursion)."""
+    count = len(successors)
+    order = [-1] * count
+    low = [0] * count
+    stacked = [False] * count
+    stack: list[int] = []
+    component = [-1] * count
+    found = 0
+    clock = 0
+    for root in range(count):
+        if order[root] >= 0:
+            continue
+        work = [(root, 0)]
+        while work:
+            node, at = work.pop()
+            if at == 0:
+                order[node] = low[node] = clock
+                clock += 1
+                stack.append(node)
+                stacked[node] = True
+            for position in range(at, len(successors[node])):
+                target = successors[node][position]
+                if order[target] < 0:
+                    work.extend([(node, position + 1), (target, 0)])
+                    break
+                if stacked[target]:
+                    low[node] = min(low[node], low[target])
+            else:
+                if low[node] == order[node]:
+                    while True:
+                        member = stack.pop()
+                        stacked[member] = False
+                        component[member] = found
+                        if member == node:
+                            break
+                    found += 1
+                if work:
+                    low[work[-1][0]] = min(low[work[-1][0]], low[node])
+    total = np.bincount(component, weights=np.asarray(weights, float), minlength=1) if count else np.zeros(1)
+    best = int(np.argmax(total))
+    return [c == best for c in component]
