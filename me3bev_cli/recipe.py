@@ -15,6 +15,9 @@ from pydantic_core import CoreSchema
 
 from me3bev_cli.api import ObservationConfig
 
+MODALITIES = ("bev", "vr", "nav")
+"""The modalities in the order in which fusion takes them."""
+
 Modality = Literal["bev", "vr", "nav"]
 Width = Annotated[int, Field(gt=0, le=65536)]
 
@@ -183,8 +186,3 @@ class Recipe(Block):
         if "bev" in self.modalities and self.spatial is None:
             raise ValueError("modalities hold bev but there is no spatial plugin")
         return self
-
-    def widths(self) -> dict[str, int]:
-        """Width of each chosen modality's vector at the fusion, in the order bev, vr, nav."""
-        every = {"bev": self.encoders.bev.width, "vr": self.encoders.vr.width, "nav": self.encoders.nav.width}
-        return {name: width for name, width in every.items() if name in self.modalities}
