@@ -1,0 +1,58 @@
+"""The `highway` simulator plugin: its settings, and the environments it makes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from me3bev_cli.api import ObservationConfig, PluginConfig, Rig
+from me3bev_plugins.simulator.highway.rig import surround_rig
+
+if TYPE_CHECKING:
+    from me3bev_plugins.simulator.highway.env import TownEnv
+
+DENSITIES = {"low": (50, 50), "high": (100, 100)}
+"""Density -> vehicles and pedestrians in the whole town."""
+
+
+class HighwayConfig(PluginConfig):
+    """Settings of the embedded simulator."""
+
+    collision_penalty: float = Field(default=1000.0, ge=0, allow_inf_nan=False, description="k_c of the reward")
+    horizon: int = Field(default=128, gt=0, description="steps (of 0.1 s) after which an episode is cut off")
+    vehicles: int | None = Field(default=None, ge=0, le=1000, description="other vehicles, instead of the density's")
+    pedestrians: int | None = Field(default=None, ge=0, le=1000, description="pedestrians, instead of the density's")
+
+
+class Highway:
+    """Towns on highway-env's roads and kinematics, with traffic in arrays and drawn cameras."""
+
+    Config = HighwayConfig
+
+    def __init__(self, config: HighwayConfig) -> None:
+        self.config = config
+
+    def maps(self) -> tuple[str, ...]:
+        """The built-in towns."""
+        from me3bev_plugins.simulator.highway.maps import MAPS
+
+        return MAPS
+
+    def densities(self) -> tuple[str, ...]:
+        """Names of the traffic densities."""
+        return tuple(DENSITIES)
+
+    def rig(self, observation: ObservationConfig) -> Rig:
+        """Calibration of the chosen cameras. Raises UserError for a camera that the rig does not have."""
+        return surround_rig(observation)
+
+    def make_env(self, observation: ObservationConfig, *, map: str, density: str, images: bool = True) -> TownEnv:
+        """A driving environment on one map.
+
+        Raises:
+            MapError: for a map or a density that does not exist.
+        """
+        from me3bev_plugins.simulator.highway.env import TownEnv
+
+        return TownEnv(map=map, density=density, observation=observation, images=images, **self.config.model_dump())
