@@ -127,7 +127,7 @@ class TokenSpec(NamedTuple):
     width: int
 
     @property
-    def count(self) -> int:
+    def total(self) -> int:
         """Number of tokens, K."""
         return self.rows * self.columns
 

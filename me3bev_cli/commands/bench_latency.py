@@ -33,7 +33,7 @@ def bench_latency(
         torch.set_num_threads(threads)
     place = pick_device(device)
     setup = {
-        "timed": "uint8 images and features in host memory -> clipped action in host memory, memory of the policy included",
+        "timed": "uint8 images and features in host memory -> clipped action in host memory, with the policy's memory",
         "not_timed": "simulator, building the network, warm-up calls",
         "device": torch.cuda.get_device_name(place) if place.type == "cuda" else "cpu",
         "threads": torch.get_num_threads(),

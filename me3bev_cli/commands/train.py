@@ -53,7 +53,7 @@ def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None
     from me3bev_cli.output import write_json
     from me3bev_cli.training.display import Display
     from me3bev_cli.training.loop import Trainer
-    from me3bev_cli.training.monitor import Interrupted, Stop
+    from me3bev_cli.training.monitor import InterruptedTrainingError, Stop
 
     if threads is not None:
         torch.set_num_threads(threads)
@@ -69,7 +69,7 @@ def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None
             display.say(f"going on from step {trainer.progress.total_steps:,}")
         try:
             last = trainer.train()
-        except Interrupted:
+        except InterruptedTrainingError:
             display.say(f"stopped at step {trainer.progress.total_steps:,}; go on with: me3bev train --resume {run}")
             raise typer.Exit(130) from None
     display.say(f"finished: {last}")

@@ -87,8 +87,6 @@ def _frames(controller: Controller, plan: Plan, say: Callable[[str], None]) -> t
         else:
             seed = plan.seed + (which == "scoring")
             episodes = live_episodes(controller.recipe, plan.maps, plan.density, len(wanted), seed)
-        return gather(
-            controller.network, episodes, EVERY, lambda done: say(f"{which}: {done}/{len(wanted)} episodes")
-        )
+        return gather(controller.network, episodes, EVERY, lambda done: say(f"{which}: {done}/{len(wanted)} episodes"))
 
     return run("learning", list(range(test, count))), run("scoring", list(range(test)))

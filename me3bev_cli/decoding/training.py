@@ -43,7 +43,7 @@ def train_decoder(
         truth = torch.from_numpy(pairs.truth[chosen]).to(device).long()
         loss = torch.nn.functional.cross_entropy(decoder(latent), truth, weight=weights)
         optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         schedule.step()
         if shown is not None:

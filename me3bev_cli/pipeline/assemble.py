@@ -72,12 +72,12 @@ def _parts(recipe: Recipe, observation: ObservationConfig) -> Parts:
     tokens, projection = None, None
     widths: dict[str, int] = {}
     fused: dict[str, int] = {}
-    if "bev" in recipe.modalities:
+    if recipe.spatial is not None and "bev" in recipe.modalities:
         cls, config = configured("spatial", recipe.spatial)
         rig = recipe_rig(recipe)
         spatial, tokens = cls(config, rig), cls.output_spec(config, rig)
         widths["bev"], fused["bev"] = tokens.width, recipe.encoders.bev.width
-        projection = mlp([tokens.count * tokens.width, fused["bev"]], nn.SiLU)
+        projection = mlp([tokens.total * tokens.width, fused["bev"]], nn.SiLU)
     encoders: dict[str, nn.Module] = {}
     for name in ("vr", "nav"):
         if name in recipe.modalities:

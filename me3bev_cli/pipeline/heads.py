@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -15,7 +16,7 @@ ACTIONS = 2
 def mlp(widths: Sequence[int], activation: type[nn.Module], last: bool = True) -> nn.Sequential:
     """Linear layers of the given widths with `activation` between them, and after the last one if `last`."""
     layers: list[nn.Module] = []
-    for index, (a, b) in enumerate(zip(widths, widths[1:], strict=False)):
+    for index, (a, b) in enumerate(pairwise(widths)):
         layers.append(nn.Linear(a, b))
         if last or index < len(widths) - 2:
             layers.append(activation())
@@ -37,11 +38,13 @@ class GaussianActions:
 
     def log_prob(self, actions: Tensor) -> Tensor:
         """(B,)"""
-        return self._normal.log_prob(actions)
+        log_prob: Tensor = self._normal.log_prob(actions)  # type: ignore[no-untyped-call]
+        return log_prob
 
     def entropy(self) -> Tensor:
         """(B,)"""
-        return self._normal.entropy()
+        entropy: Tensor = self._normal.entropy()  # type: ignore[no-untyped-call]
+        return entropy
 
 
 class BetaActions:
@@ -65,11 +68,13 @@ class BetaActions:
     def log_prob(self, actions: Tensor) -> Tensor:
         """(B,)"""
         inside = ((actions + 1) / 2).clamp(self.EDGE, 1 - self.EDGE)
-        return self._beta.log_prob(inside) - self._log_scale
+        log_prob: Tensor = self._beta.log_prob(inside)  # type: ignore[no-untyped-call]
+        return log_prob - self._log_scale
 
     def entropy(self) -> Tensor:
         """(B,)"""
-        return self._beta.entropy() + self._log_scale
+        entropy: Tensor = self._beta.entropy()  # type: ignore[no-untyped-call]
+        return entropy + self._log_scale
 
 
 Actions = GaussianActions | BetaActions

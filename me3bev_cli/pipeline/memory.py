@@ -22,6 +22,10 @@ def _starts_per_token(starts: Tensor, tokens: int) -> Tensor:
     return starts.repeat_interleave(tokens, dim=0)
 
 
+def _initial(module: nn.Module, batch: int) -> Any:
+    return module.initial_state(batch)  # type: ignore[operator]
+
+
 class NoMemory(nn.Module):
     """`temporal: null`: each frame for itself (the ablation without TAFM)."""
 
@@ -52,7 +56,7 @@ class StreamMemory(nn.Module):
     def initial(self, batch: int, embeddings: Mapping[str, tuple[int, int]], like: Tensor) -> Any:
         """The empty state: per modality a tree of tensors (B, K, ...)."""
         return {
-            name: split_batch(module.initial_state(batch * embeddings[name][0]), embeddings[name][0])
+            name: split_batch(_initial(module, batch * embeddings[name][0]), embeddings[name][0])
             for name, module in self.temporal.items()
         }
 
@@ -98,7 +102,7 @@ class WindowMemory(nn.Module):
         """Windows (B, T, K, D), starts (B, T) -> the latent of each window's last frame (B, K, D)."""
         module, tokens = self.temporal[name], windows.shape[2]
         x = fold(windows)
-        y, _ = module(x, module.initial_state(x.shape[0]), _starts_per_token(starts, tokens))
+        y, _ = module(x, _initial(module, x.shape[0]), _starts_per_token(starts, tokens))
         return unfold(y[:, -1:], tokens)[:, 0]
 
     def step(self, embeddings: Embeddings, state: Any, starts: Tensor) -> tuple[Embeddings, Any]:

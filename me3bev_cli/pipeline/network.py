@@ -5,7 +5,7 @@ Letters: N frames, B environments, T time, C cameras, K tokens, D width.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -52,6 +52,14 @@ class Network(nn.Module):
         self.fusion = parts.fusion
         self.actor = parts.actor
         self.critic = parts.critic
+        self._fixed = {name for name, p in self.named_parameters() if not p.requires_grad}
+
+    def freeze(self, modules: Iterable[nn.Module]) -> None:
+        """Let everything learn but `modules` and what a plugin itself has fixed."""
+        for name, parameter in self.named_parameters():
+            parameter.requires_grad_(name not in self._fixed)
+        for module in modules:
+            module.requires_grad_(False)
 
     @property
     def prefix(self) -> int:
@@ -68,10 +76,9 @@ class Network(nn.Module):
         """(K, D) of each modality's embedding."""
         shapes = {}
         if self.tokens is not None:
-            shapes["bev"] = (self.tokens.count, self.tokens.width)
+            shapes["bev"] = (self.tokens.total, self.tokens.width)
         for name, encoder in self.encoders.items():
-            linear = [layer for layer in encoder if isinstance(layer, nn.Linear)][-1]
-            shapes[name] = (1, linear.out_features)
+            shapes[name] = (1, [m.out_features for m in encoder.modules() if isinstance(m, nn.Linear)][-1])
         return shapes
 
     def perceive(self, observation: Mapping[str, Tensor]) -> SpatialOutput:

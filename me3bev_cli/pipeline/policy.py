@@ -43,8 +43,7 @@ class DrivingPolicy(BasePolicy):
         self.network = network
         named = [getattr(network, module) for part in frozen for module in PARTS[part]]
         self.frozen = [module for module in named if module is not None]
-        for module in self.frozen:
-            module.requires_grad_(False)
+        network.freeze(self.frozen)
         trained = [p for p in network.parameters() if p.requires_grad]
         self.optimizer = torch.optim.Adam(trained, lr=lr_schedule(1), eps=1e-5)
         self.before_minibatch: Callable[[], None] | None = None
@@ -59,7 +58,7 @@ class DrivingPolicy(BasePolicy):
         """Values, log-probabilities and entropies (B L,) of segments, as PPO's loss needs them."""
         if self.before_minibatch is not None:
             self.before_minibatch()
-        frames = dict(obs)  # type: ignore[arg-type]
+        frames = dict(obs)
         starts, state = frames.pop(STARTS), frames.pop(STATE, None)
         decision = self.network.evaluate(frames, state, starts)
         return decision.values, decision.actions.log_prob(actions), decision.actions.entropy()

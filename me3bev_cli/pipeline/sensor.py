@@ -24,6 +24,11 @@ class Sensor(nn.Module):
     divided by 25 m/s and distances by the length of the waypoint horizon, so that every input is of order one.
     """
 
+    mean: Tensor
+    deviation: Tensor
+    vr_scale: Tensor
+    nav_scale: Tensor
+
     def __init__(self, observation: ObservationConfig) -> None:
         super().__init__()
         self.register_buffer("mean", 255.0 * torch.tensor(IMAGE_MEAN).view(3, 1, 1), persistent=False)

@@ -68,7 +68,8 @@ class EpisodeWriter:
         self._writer = Writer(self._file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="me3bev")
         self._writer.add_metadata("me3bev", dict(metadata))
-        schema = self._writer.register_schema("me3bev.Step", SchemaEncoding.JSONSchema, json.dumps(STEP_SCHEMA).encode())
+        schema_text = json.dumps(STEP_SCHEMA).encode()
+        schema = self._writer.register_schema("me3bev.Step", SchemaEncoding.JSONSchema, schema_text)
         self._step = self._writer.register_channel(STEP_TOPIC, MessageEncoding.JSON, schema)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -79,9 +80,7 @@ class EpisodeWriter:
         if name not in self._schemas:
             self._schemas[name] = register_schema(self._writer, type(message))
         if topic not in self._channels:
-            self._channels[topic] = self._writer.register_channel(
-                topic, MessageEncoding.Protobuf, self._schemas[name]
-            )
+            self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
         self._writer.add_message(self._channels[topic], self._time, message.SerializeToString(), self._time)
 
     def _calibrate(self) -> None:
@@ -103,9 +102,7 @@ class EpisodeWriter:
             self._calibrate()
         self._write(TRANSFORM_TOPIC, messages.ego_transform(*pose, self._time))
         for camera, image in zip(self.rig.cameras, observation["images"], strict=True):
-            self._write(
-                image_topic(camera.name), messages.image_message(image, camera.name, self._time, self.quality)
-            )
+            self._write(image_topic(camera.name), messages.image_message(image, camera.name, self._time, self.quality))
         self._write(BEV_TOPIC, messages.grid_message(bev, BEV_CELL, self._time))
         step = {
             **{key: observation[key].tolist() for key in ("road", "vehicle", "navigation")},
@@ -116,7 +113,7 @@ class EpisodeWriter:
 
     def finish(self) -> None:
         """Write the index, close and rename."""
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
         self.temporary.rename(self.path)
 

@@ -1,10 +1,10 @@
 """Checkpoints: folders of plain files. Nothing that is read from them is ever unpickled.
 
-    step_000012288/
-        recipe.yaml           as resolved
-        policy.safetensors    the network's parameters and buffers
-        trainer.pt            optimiser and random states, read with weights_only
-        progress.json         stage, steps, episodes
+step_000012288/
+    recipe.yaml           as resolved
+    policy.safetensors    the network's parameters and buffers
+    trainer.pt            optimiser and random states, read with weights_only
+    progress.json         stage, steps, episodes
 """
 
 from __future__ import annotations

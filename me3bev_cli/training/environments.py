@@ -36,10 +36,10 @@ def make_environments(recipe: Recipe, stage: PpoStage, first_episode: int = 0) -
     Args:
         first_episode: index of the first episode to play: a run that goes on does not repeat what it has seen.
     """
-    cls, config = configured("simulator", recipe.simulator)
+    choice = recipe.simulator_in(stage)
+    cls, config = configured("simulator", choice)
     simulator = cls(config)
-    place = stage.map or recipe.simulator.map
-    density = stage.density or recipe.simulator.density
+    place, density = choice.map, choice.density
     names = (recipe.seed, place, density)
 
     def maker(index: int) -> Any:

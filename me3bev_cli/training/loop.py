@@ -27,7 +27,7 @@ from me3bev_cli.training.checkpoint import (
 )
 from me3bev_cli.training.curve import draw_curve
 from me3bev_cli.training.environments import make_environments
-from me3bev_cli.training.monitor import Interrupted, Monitor, Stop
+from me3bev_cli.training.monitor import InterruptedTrainingError, Monitor, Stop
 from me3bev_cli.training.rollout import SequenceRolloutBuffer
 from me3bev_cli.training.run import versions
 from me3bev_cli.training.sequence_ppo import SequencePPO
@@ -67,7 +67,7 @@ class Trainer:
         """Train until every stage is done; returns the last checkpoint.
 
         Raises:
-            Interrupted: Ctrl-C was pressed; a checkpoint has been written.
+            InterruptedTrainingError: Ctrl-C was pressed; a checkpoint has been written.
         """
         atomic_write_text(self.run / "versions.json", json.dumps(versions(), indent=1))
         while self.progress.stage < len(self.recipe.stages):
@@ -94,12 +94,12 @@ class Trainer:
             try:
                 if remaining > 0:
                     model.learn(remaining, callback=monitor, reset_num_timesteps=False)
-            except Interrupted:
+            except InterruptedTrainingError:
                 self.save(model)
                 raise
             if self.stop.asked:
                 self.save(model)
-                raise Interrupted
+                raise InterruptedTrainingError
             self.save(model)
         finally:
             env.close()

@@ -32,7 +32,7 @@ LOSSES = {
 }
 
 
-class Interrupted(Exception):
+class InterruptedTrainingError(Exception):
     """Training was asked to stop; its checkpoint has been written."""
 
 
@@ -58,9 +58,9 @@ class Stop:
                 signal(number, handler)
 
     def check(self) -> None:
-        """Raises Interrupted if a stop was asked for."""
+        """Raises InterruptedTrainingError if a stop was asked for."""
         if self.asked:
-            raise Interrupted
+            raise InterruptedTrainingError
 
 
 class Monitor(BaseCallback):
@@ -80,9 +80,7 @@ class Monitor(BaseCallback):
         progress = self.trainer.progress
         progress.stage_steps += self.training_env.num_envs
         progress.total_steps += self.training_env.num_envs
-        for info, reward, done in zip(
-            self.locals["infos"], self.locals["rewards"], self.locals["dones"], strict=True
-        ):
+        for info, reward, done in zip(self.locals["infos"], self.locals["rewards"], self.locals["dones"], strict=True):
             self.rewards.append(float(reward))
             if done:
                 self.episodes.append(_episode(info))

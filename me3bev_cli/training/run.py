@@ -1,13 +1,13 @@
 """Run folders: where a training keeps what it makes.
 
-    runs/NAME-DATE-TIME/
-        recipe.yaml      as resolved
-        versions.json    of me3bev and of what it builds on
-        metrics.jsonl    one line per update
-        tensorboard/
-        checkpoints/
-        reward.png       reward per step against environment steps
-        summary.json     when it is finished
+runs/NAME-DATE-TIME/
+    recipe.yaml      as resolved
+    versions.json    of me3bev and of what it builds on
+    metrics.jsonl    one line per update
+    tensorboard/
+    checkpoints/
+    reward.png       reward per step against environment steps
+    summary.json     when it is finished
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class SequencePPO(PPO):
     """PPO whose policy remembers: state is carried while collecting and cleared at episode starts."""
 
     rollout_buffer: SequenceRolloutBuffer
-    policy: DrivingPolicy
+    policy: DrivingPolicy  # type: ignore[assignment]
 
     def __init__(self, *args: Any, reward_scale: float = 1.0, **kwargs: Any) -> None:
         self.reward_scale = reward_scale
@@ -67,7 +67,7 @@ class SequencePPO(PPO):
             self._update_info_buffer(infos, dones)
             targets = self._bootstrap(rewards * self.reward_scale, dones, infos)
             rollout_buffer.add(observation, actions, targets, starts, values, log_probs)  # type: ignore[arg-type]
-            self._last_obs, self._last_episode_starts = new_obs, dones
+            self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
         last_values = self._value(self._last_obs, self._state, dones)
         rollout_buffer.compute_returns_and_advantage(last_values=last_values, dones=dones)
         callback.update_locals(locals())
@@ -96,8 +96,8 @@ class SequencePPO(PPO):
         return decision.values
 
     def _bootstrap(
-        self, rewards: NDArray[np.float32], dones: NDArray[np.bool_], infos: list[dict[str, Any]]
-    ) -> NDArray[np.float32]:
+        self, rewards: NDArray[np.floating[Any]], dones: NDArray[np.bool_], infos: list[dict[str, Any]]
+    ) -> NDArray[np.floating[Any]]:
         """Add the discounted value of the state that a time limit cut off."""
         cut = [i for i, done in enumerate(dones) if done and infos[i].get("TimeLimit.truncated", False)]
         if not cut:

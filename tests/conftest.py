@@ -1,0 +1,32 @@
+"""Fixtures that more than one folder of tests uses."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+
+@pytest.fixture
+def line_plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The fake plugins of `fakes.py`, installed."""
+    from fakes import installed
+
+    with installed(monkeypatch):
+        yield
+
+
+@pytest.fixture
+def line_recipe(line_plugins: None, tmp_path: Path) -> Path:
+    """A recipe file over the fake plugins."""
+    from fakes import RECIPE
+
+    path = tmp_path / "line.yaml"
+    path.write_text(RECIPE)
+    return path

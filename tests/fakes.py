@@ -1,0 +1,165 @@
+"""Small stand-ins for tests: a simulator without a world, a spatial encoder without calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import EntryPoint
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from torch import nn
+
+from me3bev_cli import registry
+from me3bev_cli.api import Camera, ObservationConfig, PluginConfig, Rig, SpatialOutput, StepRecord, TokenSpec
+
+LENGTH = 12
+
+
+class LineEnv(gymnasium.Env[dict[str, Any], Any]):
+    """A point on a line that should move on: the reward is its speed, a hard left is a collision."""
+
+    def __init__(self, observation: ObservationConfig, place: str, images: bool) -> None:
+        shape = (len(observation.cameras), 3, observation.height, observation.width)
+        boxes: dict[str, spaces.Space[Any]] = {
+            "road": spaces.Box(-1e3, 1e3, (9,), np.float32),
+            "vehicle": spaces.Box(-1e3, 1e3, (4,), np.float32),
+            "navigation": spaces.Box(-1e3, 1e3, (5,), np.float32),
+        }
+        if images:
+            boxes["images"] = spaces.Box(0, 255, shape, np.uint8)
+        self.observation_space = spaces.Dict(boxes)
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.place = place
+
+    def _observe(self) -> dict[str, Any]:
+        obs = {
+            key: self.np_random.normal(size=space.shape).astype(np.float32)
+            for key, space in self.observation_space.spaces.items()
+            if key != "images"
+        }
+        obs["vehicle"][1] = self.speed
+        if "images" in self.observation_space.spaces:
+            space = self.observation_space.spaces["images"]
+            obs["images"] = self.np_random.integers(0, 256, space.shape, np.uint8)
+        return obs
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.seed_used = seed
+        self.steps, self.x, self.speed = 0, 0.0, 0.0
+        return self._observe(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.steps += 1
+        self.speed = float(np.clip(self.speed + 0.3 * action[1], 0, 5))
+        self.x += 0.1 * self.speed
+        hit = bool(action[0] > 0.97)
+        record = StepRecord(
+            time=0.1 * self.steps, x=self.x, y=0.0, heading=0.0, speed=self.speed, acceleration=0.0,
+            lateral_acceleration=0.0, yaw_rate=0.0, steering=float(action[0]), longitudinal=float(action[1]),
+            waypoint_x=self.x + 2, waypoint_y=0.0, similarity=1.0, waypoint_distance=2.0, speed_limit=10.0,
+            traffic_speed=float("nan"), route_done=self.x, route_length=5.0, off_route=0.0, off_road=False,
+            collision="vehicle" if hit else "", at_fault=hit, red_light=False, stop_sign=False, reward=self.speed,
+        )  # fmt: skip
+        truncated = self.steps >= LENGTH
+        return self._observe(), self.speed - 5.0 * hit, hit, truncated and not hit, {"record": record}
+
+    def autopilot(self) -> Any:
+        return np.array([0.0, 1.0], np.float32)
+
+    def bev_semantics(self) -> Any:
+        classes = np.zeros((200, 200), np.uint8)
+        classes[:, 90:110] = 1
+        classes[40 + 10 * (self.steps % 4) : 60 + 10 * (self.steps % 4), 95:100] = 6
+        return classes
+
+
+class LineSimulator:
+    """A simulator plugin around `LineEnv`."""
+
+    class Config(PluginConfig):
+        """No settings."""
+
+    def __init__(self, config: Any) -> None:
+        self.config = config
+
+    def maps(self) -> tuple[str, ...]:
+        return ("F1", "F2")
+
+    def densities(self) -> tuple[str, ...]:
+        return ("low", "high")
+
+    def rig(self, observation: ObservationConfig) -> Rig:
+        size = {"width": observation.width, "height": observation.height}
+        lens = {"fx": 50.0, "fy": 50.0, "cx": observation.width / 2, "cy": observation.height / 2}
+        names = enumerate(observation.cameras)
+        return Rig(
+            cameras=tuple(Camera(name=n, yaw=-float(i), position=(0.0, 0.0, 1.5), **size, **lens) for i, n in names)
+        )
+
+    def make_env(self, observation: ObservationConfig, *, map: str, density: str, images: bool = True) -> LineEnv:
+        return LineEnv(observation, map, images)
+
+
+class TinySpatial(nn.Module):
+    """2 x 2 tokens of 4 numbers from strided pixels."""
+
+    class Config(PluginConfig):
+        """No settings."""
+
+    def __init__(self, config: Any, rig: Rig) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(3 * len(rig.cameras), 4, 8, stride=8)
+
+    @classmethod
+    def output_spec(cls, config: Any, rig: Rig) -> TokenSpec:
+        return TokenSpec(2, 2, 4)
+
+    def forward(self, images: torch.Tensor) -> SpatialOutput:
+        maps = nn.functional.adaptive_avg_pool2d(torch.tanh(self.conv(images.flatten(1, 2))), 2)
+        return SpatialOutput(maps.flatten(2).transpose(1, 2))
+
+
+PLUGINS = {("simulator", "line"): LineSimulator, ("spatial", "tiny_test"): TinySpatial}
+
+
+@contextmanager
+def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The fakes as if a distribution had registered them, beside what is really installed."""
+    real = registry.entry_points
+
+    def entry_points(*, group: str) -> list[EntryPoint]:
+        extra = [
+            EntryPoint(name, f"fakes:{cls.__name__}", group)
+            for (kind, name), cls in PLUGINS.items()
+            if group == f"me3bev.{kind}"
+        ]
+        return [*real(group=group), *extra]
+
+    monkeypatch.setattr(registry, "entry_points", entry_points)
+    registry.clear()
+    yield
+    monkeypatch.undo()
+    registry.clear()
+
+
+RECIPE = """
+name: line
+simulator: {name: line, map: F1, density: low}
+observation: {height: 16, width: 32, cameras: [front, back]}
+spatial: {name: tiny_test}
+encoders: {bev: {width: 8}, vr: {hidden: [8], width: 8}, nav: {hidden: [8], width: 8}}
+temporal: {name: gru}
+context: {kind: window, length: 4}
+fusion: {name: sum}
+policy: {hidden: [8]}
+stages:
+  - {kind: ppo, steps: 192, envs: 2, rollout: 16, segment: 8, minibatch: 16, epochs: 2, checkpoint_every: 64}
+seed: 3
+device: cpu
+"""
