@@ -126,6 +126,7 @@ class PpoStage(Block):
     steps: int = Field(gt=0, description="environment steps")
     map: str | None = Field(default=None, description="instead of the simulator block's")
     density: str | None = Field(default=None, description="instead of the simulator block's")
+    simulator: dict[str, Any] = Field(default={}, description="the simulator's own keys that differ in this stage")
     envs: int = Field(default=4, ge=1, le=256, description="environments side by side")
     rollout: int = Field(default=256, ge=2, description="steps per environment between two updates")
     segment: int = Field(default=16, ge=1, description="contiguous frames that are learned from together")
@@ -186,3 +187,8 @@ class Recipe(Block):
         if "bev" in self.modalities and self.spatial is None:
             raise ValueError("modalities hold bev but there is no spatial plugin")
         return self
+
+    def simulator_in(self, stage: Stage) -> SimulatorChoice:
+        """The simulator block as it stands in a stage."""
+        place = {"map": stage.map or self.simulator.map, "density": stage.density or self.simulator.density}
+        return SimulatorChoice.model_validate(self.simulator.model_dump() | stage.simulator | place)

@@ -140,15 +140,24 @@ class Checker:
         simulator: Any = self._asked(("simulator",), lambda: chosen.plugin(chosen.config))
         if simulator is None:
             return None
-        stages = self.data.get("stages")
-        blocks: list[tuple[tuple[str | int, ...], Any]] = [(("simulator",), self.data["simulator"])]
-        blocks += [(("stages", i), stage) for i, stage in enumerate(stages if isinstance(stages, list) else [])]
+        stages = [(("stages", index), stage) for index, stage in self._stages()]
         for key, options in (("map", simulator.maps()), ("density", simulator.densities())):
-            for path, block in blocks:
-                word = block.get(key) if isinstance(block, Mapping) else None
+            for path, block in [(("simulator",), self.data["simulator"]), *stages]:
+                word = block.get(key)
                 if isinstance(word, str) and word not in options:
                     self._fault((*path, key), unknown_name(key, word, options))
+        for path, stage in stages:
+            own = stage.get("simulator")
+            if isinstance(own, Mapping):
+                changed = {**chosen.config.model_dump(mode="json"), **own}
+                self.faults.extend(validate(chosen.plugin.Config, changed, (*path, "simulator"), nulls=True)[1])
         return simulator
+
+    def _stages(self) -> list[tuple[int, Mapping[str, Any]]]:
+        """The stages that are blocks at all, with their indices."""
+        stages = self.data.get("stages")
+        numbered = enumerate(stages) if isinstance(stages, list) else ()
+        return [(index, stage) for index, stage in numbered if isinstance(stage, Mapping)]
 
     def _rig(self, simulator: Any) -> Rig | None:
         observation = _block(ObservationConfig, self.data.get("observation"))

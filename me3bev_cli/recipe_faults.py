@@ -30,12 +30,13 @@ class Fault:
         return UserError(self.what, where=where or None, allowed=self.allowed, hint=self.hint)
 
 
-def validate(model: type[BaseModel], data: Any, prefix: Path = ()) -> tuple[Any, list[Fault]]:
+def validate(model: type[BaseModel], data: Any, prefix: Path = (), *, nulls: bool = False) -> tuple[Any, list[Fault]]:
     """`data` (plain values as YAML gives them) as a `model`, or every fault in it.
 
-    Values are not coerced: `"12"` and `true` are no numbers. A null for a key that cannot be null removes the key.
+    Values are not coerced: `"12"` and `true` are no numbers. A null for a key that cannot be null removes the key,
+    unless `nulls` keeps it.
     """
-    data = _drop_nulls(data, model)
+    data = data if nulls else _drop_nulls(data, model)
     try:
         return model.model_validate_json(to_json(data), strict=True), []
     except ValidationError as error:
