@@ -1,0 +1,91 @@
+"""The scene from above: the semantic map that is the perception's truth, and a plan for people."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from me3bev_cli.api import BEV_CLASSES
+from me3bev_plugins.simulator.highway.camera_things import BUILDING, PEDESTRIAN, VEHICLE, Gathering
+from me3bev_plugins.simulator.highway.ground import ground_of
+from me3bev_plugins.simulator.highway.ground_tiles import SEMANTIC as GROUND_SEMANTIC
+from me3bev_plugins.simulator.highway.ground_tiles import Tiles, lookup
+from me3bev_plugins.simulator.highway.raster import COS, LENGTH, SEMANTIC, SIN, WIDTH, Things, X, Y
+from me3bev_plugins.simulator.highway.scene import Scene
+
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+
+_MARKING, _CROSSWALK = BEV_CLASSES.index("lane_marking"), BEV_CLASSES.index("crosswalk")
+
+
+def bev_semantics(scene: Scene, cells: int = 200, cell: float = 0.5) -> Bytes:
+    """The classes (cells, cells) around the ego, as `BEV_CLASSES`; the ego itself is not drawn.
+
+    Row 0 is farthest ahead, column 0 farthest left; the ego stands in the middle. A cell takes the class at
+    its centre; it is lane marking (or crosswalk) already when paint covers two of its nine ninths, since lines
+    are narrower than cells. It is building, vehicle or pedestrian when its centre is inside one's box; the
+    cell under a pedestrian's centre always is pedestrian.
+
+    Args:
+        cells: side of the map.
+        cell: metres.
+    """
+    near = Gathering(scene.town)
+    pose, count = near.collect(scene, 0.75 * cells * cell)
+    out = np.empty((cells, cells), np.uint8)
+    _sample_ground(ground_of(scene.town), 0, pose, cell, out)
+    for semantic in (BUILDING, VEHICLE, PEDESTRIAN):
+        _paint_boxes(near.things, count, semantic, semantic == PEDESTRIAN, cell, out)
+    return out
+
+
+@njit(cache=True)
+def _sample_ground(tiles: Tiles, town_level: int, pose: Floats, cell: float, out: Bytes) -> None:
+    cells = out.shape[0]
+    index = tiles.table[town_level]
+    for row in range(cells):
+        for column in range(cells):
+            markings, crossings, middle = 0, 0, 0
+            for k in range(9):
+                x = (0.5 * cells - row - 0.5 - (k // 3 - 1) / 3) * cell
+                y = (0.5 * cells - column - 0.5 - (k % 3 - 1) / 3) * cell
+                wx = pose[0] + pose[2] * x - pose[3] * y - tiles.origin[0]
+                wy = pose[1] + pose[3] * x + pose[2] * y - tiles.origin[1]
+                at = lookup(index, tiles.data, int(np.floor(wy / tiles.cell)), int(np.floor(wx / tiles.cell)))
+                found = GROUND_SEMANTIC[at]
+                markings += found == _MARKING
+                crossings += found == _CROSSWALK
+                if k == 4:
+                    middle = found
+            if crossings >= 2:
+                middle = _CROSSWALK
+            elif markings >= 2:
+                middle = _MARKING
+            out[row, column] = middle
+
+
+@njit(cache=True)
+def _paint_boxes(things: Things, count: int, semantic: int, always: bool, cell: float, out: Bytes) -> None:
+    """Paints the cells whose centres are inside boxes of one class; `always` also those under their middles."""
+    cells = out.shape[0]
+    half = 0.5 * cells
+    for i in range(count):
+        if things.label[i, SEMANTIC] != semantic:
+            continue
+        n = things.number[i]
+        rx = 0.5 * (abs(n[COS]) * n[LENGTH] + abs(n[SIN]) * n[WIDTH])
+        ry = 0.5 * (abs(n[SIN]) * n[LENGTH] + abs(n[COS]) * n[WIDTH])
+        top, bottom = max(0, int(half - (n[X] + rx) / cell)), min(cells, int(half - (n[X] - rx) / cell) + 1)
+        left, right = max(0, int(half - (n[Y] + ry) / cell)), min(cells, int(half - (n[Y] - ry) / cell) + 1)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                dx, dy = (half - row - 0.5) * cell - n[X], (half - column - 0.5) * cell - n[Y]
+                along, across = n[COS] * dx + n[SIN] * dy, n[COS] * dy - n[SIN] * dx
+                if abs(along) <= 0.5 * n[LENGTH] and abs(across) <= 0.5 * n[WIDTH]:
+                    out[row, column] = semantic
+        if always:
+            row, column = int(np.floor(half - n[X] / cell)), int(np.floor(half - n[Y] / cell))
+            if 0 <= row < cells and 0 <= column < cells:
+                out[row, column] = semantic

@@ -1,0 +1,210 @@
+"""The ground as tiles: painting polygons into a class raster, packing it with mip levels, and looking it up.
+
+A raster cell holds a code: a base class (`Paint` below) or, in the coarser mip levels, a mix of two of them
+in eighths. Tiles of 32 x 32 cells keep all their mip levels together; tiles of one class are stored once, so
+a large town costs what its roads cost.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+
+TILE = 32
+LEVELS = 6
+"""Mip level m halves the cells m times: 32 x 32 cells down to one."""
+OFFSETS = np.array([0, 1024, 1280, 1344, 1360, 1364], np.int64)
+"""Where each level begins within a tile's record."""
+RECORD = 1368
+
+
+class Paint(IntEnum):
+    """Base classes of the ground raster."""
+
+    GRASS = 0
+    ASPHALT = 1
+    SIDEWALK = 2
+    WHITE = 3
+    YELLOW = 4
+    ZEBRA = 5
+    """White of crosswalk stripes and stop lines."""
+    ZEBRA_GAP = 6
+    """Asphalt between a crosswalk's stripes."""
+    PATH = 7
+    """Unpaved roadside."""
+    KERB = 8
+
+
+BASES = len(Paint)
+SEMANTIC = np.array([0, 1, 4, 2, 2, 3, 3, 0, 4], np.uint8)
+"""Paint -> index into `me3bev_cli.api.BEV_CLASSES`."""
+_MIXED = (Paint.GRASS, Paint.ASPHALT, Paint.SIDEWALK, Paint.WHITE, Paint.YELLOW, Paint.ZEBRA, Paint.ZEBRA_GAP)
+MIX_AS = np.array([0, 1, 2, 3, 4, 5, 6, 0, 2], np.int64)
+"""Which mixable class stands for each base class in a mix."""
+
+
+def _mix_codes() -> tuple[Bytes, NDArray[np.int64]]:
+    """(first, second, eighths of second) -> code, and code -> those three (-1 eighths for a base class)."""
+    table = np.zeros((BASES, BASES, 9), np.uint8)
+    parts = [(base, base, 0) for base in range(BASES)]
+    for i, first in enumerate(_MIXED):
+        for second in _MIXED[i + 1 :]:
+            for eighths in range(1, 8):
+                table[first, second, eighths] = table[second, first, 8 - eighths] = len(parts)
+                parts.append((int(first), int(second), eighths))
+    for base in range(BASES):
+        table[base, :, 0] = base
+        table[:, base, 8] = base
+        table[base, base, :] = base
+    return table, np.array(parts, np.int64)
+
+
+MIX, MIX_PARTS = _mix_codes()
+CODES = len(MIX_PARTS)
+
+
+class Tiles(NamedTuple):
+    """A town's ground. Cell (row, column) covers `origin + cell * (column, row)` onwards, rows to the north."""
+
+    table: NDArray[np.int32]
+    """(levels of the town, rows of tiles, columns of tiles) -> record."""
+    data: Bytes
+    """(records * RECORD,)"""
+    origin: tuple[float, float]
+    cell: float
+    """Metres."""
+
+
+@njit(cache=True)
+def fill_polygons(raster: Bytes, points: Floats, starts: NDArray[np.int64], codes: Bytes) -> None:
+    """Paints polygons in order; a cell is inside when its centre is (even-odd rule).
+
+    Args:
+        raster: (rows, columns), changed in place.
+        points: (P, 2) column, row, in cells.
+        starts: (N + 1,) into `points`.
+        codes: (N,)
+    """
+    rows, columns = raster.shape
+    crossing = np.empty(np.max(np.diff(starts)) if len(starts) > 1 else 1)
+    for n in range(len(codes)):
+        first, end = starts[n], starts[n + 1]
+        low, high = np.inf, -np.inf
+        for i in range(first, end):
+            low, high = min(low, points[i, 1]), max(high, points[i, 1])
+        for row in range(max(0, int(np.ceil(low - 0.5))), min(rows, int(np.ceil(high - 0.5)))):
+            y = row + 0.5
+            count = 0
+            j = end - 1
+            for i in range(first, end):
+                if (points[i, 1] <= y) != (points[j, 1] <= y):
+                    share = (y - points[i, 1]) / (points[j, 1] - points[i, 1])
+                    x = points[i, 0] + share * (points[j, 0] - points[i, 0])
+                    k = count
+                    while k > 0 and crossing[k - 1] > x:
+                        crossing[k] = crossing[k - 1]
+                        k -= 1
+                    crossing[k] = x
+                    count += 1
+                j = i
+            for k in range(0, count - 1, 2):
+                left = max(0, int(np.ceil(crossing[k] - 0.5)))
+                right = min(columns, int(np.ceil(crossing[k + 1] - 0.5)))
+                raster[row, left:right] = codes[n]
+
+
+@njit(cache=True)
+def lay_kerbs(raster: Bytes, asphalt: int, sidewalk: int, kerb: int, reach: int) -> None:
+    """Turns sidewalk cells within `reach` cells of asphalt into kerb."""
+    rows, columns = raster.shape
+    for row in range(reach, rows - reach):
+        for column in range(reach, columns - reach):
+            if raster[row, column] != sidewalk:
+                continue
+            for step in range(1, reach + 1):
+                if (
+                    raster[row - step, column] == asphalt
+                    or raster[row + step, column] == asphalt
+                    or raster[row, column - step] == asphalt
+                    or raster[row, column + step] == asphalt
+                ):
+                    raster[row, column] = kerb
+                    break
+
+
+@njit(cache=True)
+def index_tiles(raster: Bytes, index: NDArray[np.int32], count: int) -> int:
+    """Numbers the tiles that need a record of their own from `count` on; returns the new count."""
+    for ty in range(index.shape[0]):
+        for tx in range(index.shape[1]):
+            tile = raster[ty * TILE : (ty + 1) * TILE, tx * TILE : (tx + 1) * TILE]
+            code = tile[0, 0]
+            if (tile == code).all():
+                index[ty, tx] = code
+            else:
+                index[ty, tx] = count
+                count += 1
+    return count
+
+
+@njit(cache=True)
+def fill_tiles(raster: Bytes, index: NDArray[np.int32], first: int, data: Bytes, mix: Bytes, mix_as: Floats) -> None:
+    """Writes the records numbered `first` and above: the cells and their mip levels."""
+    bases = mix.shape[0]
+    counts = np.zeros((TILE, TILE, bases), np.int32)
+    for ty in range(index.shape[0]):
+        for tx in range(index.shape[1]):
+            if index[ty, tx] < first:
+                continue
+            at = index[ty, tx] * RECORD
+            counts[:] = 0
+            for y in range(TILE):
+                for x in range(TILE):
+                    code = raster[ty * TILE + y, tx * TILE + x]
+                    data[at + y * TILE + x] = code
+                    counts[y, x, mix_as[code]] = 1
+            size = TILE
+            for level in range(1, LEVELS):
+                size //= 2
+                for y in range(size):
+                    for x in range(size):
+                        for k in range(bases):
+                            counts[y, x, k] = (
+                                counts[2 * y, 2 * x, k]
+                                + counts[2 * y, 2 * x + 1, k]
+                                + counts[2 * y + 1, 2 * x, k]
+                                + counts[2 * y + 1, 2 * x + 1, k]
+                            )
+                        data[at + OFFSETS[level] + y * size + x] = _mixed(counts[y, x], mix)
+
+
+@njit(cache=True)
+def _mixed(counts: NDArray[np.int32], mix: Bytes) -> np.uint8:
+    """The code of the two commonest classes in their proportion."""
+    best, second = 0, -1
+    for k in range(1, len(counts)):
+        if counts[k] > counts[best]:
+            best, second = k, best
+        elif counts[k] > 0 and (second < 0 or counts[k] > counts[second]):
+            second = k
+    if second < 0 or counts[second] == 0:
+        return np.uint8(best)
+    total = counts[best] + counts[second]
+    eighths = (16 * counts[second] + total) // (2 * total)
+    return np.uint8(mix[best, second, eighths])
+
+
+@njit(cache=True, inline="always")
+def lookup(index: NDArray[np.int32], data: Bytes, row: int, column: int) -> np.uint8:
+    """The base class of a cell; grass outside the raster. `index` is one level's (rows, columns)."""
+    ty, tx = row >> 5, column >> 5
+    if ty < 0 or tx < 0 or ty >= index.shape[0] or tx >= index.shape[1]:
+        return np.uint8(0)
+    return np.uint8(data[index[ty, tx] * RECORD + ((row & 31) << 5) + (column & 31)])

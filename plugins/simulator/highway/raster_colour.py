@@ -1,0 +1,274 @@
+"""From the visibility buffer to the picture: sky, painted ground, walls with windows, haze."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from me3bev_cli.api import Camera, Rig
+from me3bev_plugins.simulator.highway.ground_tiles import CODES, MIX_PARTS, OFFSETS, RECORD, Paint, Tiles
+from me3bev_plugins.simulator.highway.raster import SHADOW, WALL, Canvas, Lenses
+
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+SHADES = 8
+"""Brightness steps of the ground's grain."""
+GRAIN = 128
+"""The grain repeats after this many cells."""
+HAZE = np.array([196.0, 206.0, 216.0])
+ZENITH = np.array([92.0, 138.0, 198.0])
+HAZE_DISTANCE = 260.0
+"""Distance at which haze hides half of a colour, metres."""
+SUN = np.array([0.35, 0.55, 0.76])
+"""Direction to the sun in the world frame."""
+AMBIENT, DIRECT = 0.62, 0.5
+_SHADOW_LIGHT = 0.55
+_PAINT_COLOURS = {
+    Paint.GRASS: (92, 122, 62),
+    Paint.ASPHALT: (84, 85, 88),
+    Paint.SIDEWALK: (158, 154, 148),
+    Paint.WHITE: (228, 228, 224),
+    Paint.YELLOW: (216, 168, 42),
+    Paint.ZEBRA: (226, 226, 222),
+    Paint.ZEBRA_GAP: (80, 81, 84),
+    Paint.PATH: (136, 122, 92),
+    Paint.KERB: (188, 186, 180),
+}
+_GRAIN_STRENGTH = np.array([0.16, 0.09, 0.07, 0.05, 0.05, 0.06, 0.09, 0.14, 0.05])
+FLOOR, BAY = 3.3, 3.1
+"""Height of a storey and width of a window bay, metres."""
+
+
+class Backdrop(NamedTuple):
+    """What depends on the rig only: colours of sky rows and of the ground's codes at each row's distance."""
+
+    sky: Bytes
+    """(C, H, 3)"""
+    ground: Bytes
+    """(C, H, CODES * SHADES, 3)"""
+    level: NDArray[np.int64]
+    """(C, H) mip level, -1 above the horizon."""
+    depth: Floats
+    """(C, H) distance along the optical axis of the ground, metres; 0 above the horizon."""
+    grain: Bytes
+    """(GRAIN, GRAIN) brightness step."""
+
+
+def backdrop(rig: Rig, cell: float) -> Backdrop:
+    """Tables for a rig. Cameras do not roll, so all ground in one row lies at one depth."""
+    height, _ = rig.image_size
+    count = len(rig.cameras)
+    sky = np.zeros((count, height, 3), np.uint8)
+    ground = np.zeros((count, height, CODES * SHADES, 3), np.uint8)
+    level = np.full((count, height), -1, np.int64)
+    depth = np.zeros((count, height))
+    codes = _code_colours()
+    for i, camera in enumerate(rig.cameras):
+        down = -_ray_z(camera, np.arange(height, dtype=np.float64) + 0.5)
+        up = np.clip(-down / 0.45, 0.0, 1.0)[:, None] ** 0.7
+        sky[i] = HAZE + (ZENITH - HAZE) * up
+        below = down > 1e-6
+        depth[i, below] = camera.position[2] / down[below]
+        for row in np.flatnonzero(below):
+            z = depth[i, row]
+            across, along = z / camera.fx, z * z / (camera.fy * camera.position[2])
+            footprint = across**0.6 * along**0.4
+            level[i, row] = int(np.clip(np.log2(footprint / cell) + 0.2, 0, len(OFFSETS) - 1))
+            share = z / (z + HAZE_DISTANCE)
+            ground[i, row] = np.round(codes + (HAZE - codes) * share).clip(0, 255)
+    return Backdrop(sky=sky, ground=ground, level=level, depth=depth, grain=_grain())
+
+
+def _ray_z(camera: Camera, rows: Floats) -> Floats:
+    """Upward part of the rays through the given rows (pixels) for unit depth."""
+    down, forward = camera.camera_to_ego()[2][1], camera.camera_to_ego()[2][2]
+    return down * (rows - camera.cy) / camera.fy + forward
+
+
+def _code_colours() -> Floats:
+    """(CODES * SHADES, 3) colour of each ground code at each brightness step, before haze."""
+    base = np.array([_PAINT_COLOURS[paint] for paint in Paint], np.float64)
+    first, second, share = MIX_PARTS[:, 0], MIX_PARTS[:, 1], MIX_PARTS[:, 2:] / 8
+    steps = (np.arange(SHADES) / (SHADES - 1) * 2 - 1)[None, :, None]
+    grained = base[:, None] * (1 + steps * _GRAIN_STRENGTH[:, None, None])
+    mixed = grained[first] * (1 - share[..., None]) + grained[second] * share[..., None]
+    return np.asarray(mixed.reshape(-1, 3))
+
+
+def _grain() -> Bytes:
+    """Brightness steps: fine speckle over soft patches; repeats without a seam."""
+    rng = np.random.default_rng(20240607)
+    total: Floats = np.zeros((GRAIN, GRAIN))
+    for size, weight in ((128, 0.9), (64, 0.6), (32, 0.6), (16, 0.7), (8, 0.6)):
+        noise = rng.standard_normal((size, size))
+        factor = GRAIN // size
+        wide = np.kron(noise, np.ones((factor, factor)))
+        for axis in (0, 1):
+            wide = np.mean([np.roll(wide, k, axis) for k in range(-(factor // 2), factor - factor // 2)], axis=0)
+        total += weight * wide / max(wide.std(), 1e-9)
+    rank = np.argsort(np.argsort(total.ravel())).reshape(total.shape) / total.size
+    return np.asarray((rank * SHADES).astype(np.uint8))
+
+
+@njit(cache=True)
+def paint(
+    camera: int,
+    lenses: Lenses,
+    drop: Backdrop,
+    tiles: Tiles,
+    town_level: int,
+    pose: Floats,
+    canvas: Canvas,
+    out: Bytes,
+) -> None:
+    """Colours one camera's picture.
+
+    Args:
+        town_level: which of the town's ground levels.
+        pose: (4,) the ego's x, y, cosine and sine of heading in the world.
+        out: (3, H, W), written.
+    """
+    height, width = canvas.inverse.shape
+    R, pin = lenses.rotation[camera], lenses.pinhole[camera]
+    ground = np.empty(4)
+    index = tiles.table[town_level]
+    for row in range(height):
+        level = drop.level[camera, row]
+        y = (row + 0.5 - pin[3]) / pin[1]
+        if level >= 0:
+            ground_row(camera, lenses, drop.depth[camera, row], y, pose, tiles.origin, tiles.cell, ground)
+            _paint_ground(row, level, ground, index, tiles.data, drop.ground[camera, row], drop.grain, canvas, out)
+        else:
+            colour = drop.sky[camera, row]
+            for column in range(width):
+                if canvas.face[row, column] < 0:
+                    for k in range(3):
+                        out[k, row, column] = colour[k]
+        up_row = R[1, 2] * y + R[2, 2]
+        _paint_faces(row, y, up_row, lenses.position[camera, 2], pin, canvas, out)
+
+
+@njit(cache=True)
+def ground_row(
+    camera: int,
+    lenses: Lenses,
+    depth: float,
+    y: float,
+    pose: Floats,
+    origin: tuple[float, float],
+    cell: float,
+    out: Floats,
+) -> None:
+    """Column and row (in cells) of the ground under a row's first pixel, then the step from pixel to pixel."""
+    R, at, pin = lenses.rotation[camera], lenses.position[camera], lenses.pinhole[camera]
+    x = (0.5 - pin[2]) / pin[0]
+    ex = at[0] + depth * (R[0, 0] * x + R[1, 0] * y + R[2, 0])
+    ey = at[1] + depth * (R[0, 1] * x + R[1, 1] * y + R[2, 1])
+    sx, sy = depth * R[0, 0] / pin[0], depth * R[0, 1] / pin[0]
+    out[0] = (pose[0] + pose[2] * ex - pose[3] * ey - origin[0]) / cell
+    out[1] = (pose[1] + pose[3] * ex + pose[2] * ey - origin[1]) / cell
+    out[2] = (pose[2] * sx - pose[3] * sy) / cell
+    out[3] = (pose[3] * sx + pose[2] * sy) / cell
+
+
+@njit(cache=True)
+def _paint_ground(
+    row: int,
+    level: int,
+    ground: Floats,
+    index: NDArray[np.int32],
+    data: Bytes,
+    colours: Bytes,
+    grain: Bytes,
+    canvas: Canvas,
+    out: Bytes,
+) -> None:
+    """Ground where no face is, and darkened where a shadow is. Positions step in fixed point."""
+    column_at, row_at = np.int64(np.floor(ground[0] * 65536)), np.int64(np.floor(ground[1] * 65536))
+    column_step, row_step = np.int64(np.round(ground[2] * 65536)), np.int64(np.round(ground[3] * 65536))
+    bottom, right = index.shape[0], index.shape[1]
+    offset, line = OFFSETS[level], 5 - level
+    faces = canvas.face[row]
+    red, green, blue = out[0, row], out[1, row], out[2, row]
+    for column in range(len(faces)):
+        face = faces[column]
+        if face < 0 or canvas.style[face] == SHADOW:
+            r, c = row_at >> 16, column_at >> 16
+            ty, tx = r >> 5, c >> 5
+            code = np.int64(0)
+            if 0 <= ty < bottom and 0 <= tx < right:
+                at = ((r & 31) >> level << line) + ((c & 31) >> level)
+                code = np.int64(data[np.int64(index[ty, tx]) * RECORD + offset + at])
+            shade = code * SHADES + grain[(r >> level) & (GRAIN - 1), (c >> level) & (GRAIN - 1)]
+            if face < 0:
+                red[column], green[column], blue[column] = colours[shade, 0], colours[shade, 1], colours[shade, 2]
+            else:
+                red[column] = np.uint8(colours[shade, 0] * _SHADOW_LIGHT)
+                green[column] = np.uint8(colours[shade, 1] * _SHADOW_LIGHT)
+                blue[column] = np.uint8(colours[shade, 2] * _SHADOW_LIGHT)
+        column_at += column_step
+        row_at += row_step
+
+
+@njit(cache=True)
+def _paint_faces(row: int, y: float, up: float, eye: float, pin: Floats, canvas: Canvas, out: Bytes) -> None:
+    """Faces with haze by distance; `up` is the rise of the row's rays per metre of depth."""
+    faces, inverse = canvas.face[row], canvas.inverse[row]
+    thickness = np.float32(1.0 / HAZE_DISTANCE)
+    hr, hg, hb = np.float32(HAZE[0]), np.float32(HAZE[1]), np.float32(HAZE[2])
+    for column in range(len(faces)):
+        face = faces[column]
+        if face < 0:
+            continue
+        style = canvas.style[face]
+        if style == SHADOW:
+            continue
+        iz = inverse[column]
+        r, g, b = canvas.colour[face, 0], canvas.colour[face, 1], canvas.colour[face, 2]
+        if style == WALL:
+            z = np.float32(1.0) / iz
+            w = canvas.wall[face]
+            x = np.float32((column + 0.5 - pin[2]) / pin[0])
+            along = z * (w[0] * x + w[1] * np.float32(y) + w[2]) + w[3]
+            r, g, b = _window(r, g, b, along, np.float32(eye) + z * np.float32(up), w[4], w[5], z)
+        haze = thickness / (iz + thickness)
+        out[0, row, column] = np.uint8(r + (hr - r) * haze)
+        out[1, row, column] = np.uint8(g + (hg - g) * haze)
+        out[2, row, column] = np.uint8(b + (hb - b) * haze)
+
+
+@njit(cache=True)
+def _window(
+    r: np.float32,
+    g: np.float32,
+    b: np.float32,
+    along: np.float32,
+    up: np.float32,
+    length: np.float32,
+    height: np.float32,
+    depth: np.float32,
+) -> tuple[np.float32, np.float32, np.float32]:
+    """A wall's colour at a point: a grid of windows, a plinth and a cornice; calmer far away."""
+    bays, floors = max(1.0, np.floor(length / BAY)), max(1.0, np.floor(height / FLOOR))
+    u, v = along / length * bays, up / height * floors
+    bay, storey = np.floor(u), np.floor(v)
+    fu, fv = u - bay, v - storey
+    one = np.float32(1.0)
+    if up < 0.5 or up > height - 0.4:
+        return r * np.float32(0.82), g * np.float32(0.82), b * np.float32(0.82)
+    inside = 0.24 < fu < 0.76 and 0.28 < fv < 0.78
+    if not inside:
+        return r, g, b
+    tone = np.float32((np.int64(bay * 7.0 + storey * 13.0 + length * 3.0) & 3) * 9)
+    glass = min(one, max(np.float32(0.35), one - depth * np.float32(0.006)))
+    keep = one - glass
+    return (
+        r * keep + (np.float32(48.0) + tone) * glass,
+        g * keep + (np.float32(56.0) + tone) * glass,
+        b * keep + (np.float32(68.0) + tone) * glass,
+    )
