@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from me3bev_plugins.simulator.highway.opendrive.control import place_signals, place_signs, settle_control
 from me3bev_plugins.simulator.highway.opendrive.document import read_document
 from me3bev_plugins.simulator.highway.opendrive.junctions import Crossing, find_crossings
-from me3bev_plugins.simulator.highway.opendrive.lanes import HIGHWAY, Network, build_network
+from me3bev_plugins.simulator.highway.opendrive.lanes import Network, build_network
 from me3bev_plugins.simulator.highway.opendrive.limits import assign_limits
 from me3bev_plugins.simulator.highway.opendrive.shapes import section_shapes
+from me3bev_plugins.simulator.highway.opendrive.surfaces import find_surfaces
 from me3bev_plugins.simulator.highway.town import Junction, Lane, Town
 
 __all__ = ["read_town"]
@@ -29,7 +31,15 @@ def read_town(source: Path | bytes, name: str) -> Town:
     network = build_network(document, shapes, frozenset())
     assign_limits(document, network)
     crossings = find_crossings(network)
-    return Town(name=name, lanes=_lanes(network, crossings), junctions=_junctions(crossings))
+    kinds = settle_control(document, network, crossings)
+    return Town(
+        name=name,
+        lanes=_lanes(network, crossings),
+        junctions=_junctions(crossings),
+        signals=place_signals(network, crossings),
+        signs=place_signs(network, crossings, kinds),
+        surfaces=find_surfaces(shapes, network, crossings),
+    )
 
 
 def _lanes(network: Network, crossings: list[Crossing]) -> tuple[Lane, ...]:
@@ -48,7 +58,7 @@ def _lanes(network: Network, crossings: list[Crossing]) -> tuple[Lane, ...]:
             turn=draft.turn if draft.junction is not None else "straight",
             left_marking=draft.left_marking,
             right_marking=draft.right_marking,
-            highway=(draft.nominal or 0.0) > HIGHWAY,
+            highway=draft.highway,
         )
         for index, draft in enumerate(network.lanes)
     )

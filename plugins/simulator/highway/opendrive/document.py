@@ -23,7 +23,7 @@ def read_document(source: Path | bytes, name: str) -> Document:
     root = _root(_load(source, where), where)
     document = Document(name)
     for element in root.findall("road"):
-        road = RoadReader(element, where).read()
+        road = RoadReader(element, where).road()
         if road.id in document.roads:
             raise MapError(f"two roads have the id '{road.id}'", where=where, hint=HINT)
         document.roads[road.id] = road

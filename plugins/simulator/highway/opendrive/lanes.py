@@ -47,6 +47,7 @@ class Draft:
     successors: list[int] = field(default_factory=list)
     predecessors: list[int] = field(default_factory=list)
     limit: float = FALLBACK
+    highway: bool = False
 
     @property
     def reachable(self) -> list[int]:

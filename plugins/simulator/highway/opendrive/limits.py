@@ -6,7 +6,7 @@ import re
 from collections import deque
 from collections.abc import Iterator
 
-from me3bev_plugins.simulator.highway.opendrive.lanes import FALLBACK, Network
+from me3bev_plugins.simulator.highway.opendrive.lanes import FALLBACK, HIGHWAY, Network
 from me3bev_plugins.simulator.highway.opendrive.records import DRIVING, Document, Road, SignalRecord
 from me3bev_plugins.simulator.highway.opendrive.road_reader import UNITS
 
@@ -54,7 +54,7 @@ def assign_limits(document: Document, network: Network) -> None:
     for road in document.roads.values():
         for s, governed, value in speed_signs(road):
             for lane in governed:
-                found = _locate(network, road, s, lane)
+                found = locate(network, road, s, lane)
                 if found is not None:
                     index, share = found
                     (posted if share < 0.5 else after)[index] = value
@@ -75,7 +75,7 @@ def assign_limits(document: Document, network: Network) -> None:
         lanes[index].limit = value
 
 
-def _locate(network: Network, road: Road, s: float, lane: int) -> tuple[int, float] | None:
+def locate(network: Network, road: Road, s: float, lane: int) -> tuple[int, float] | None:
     """The network's lane at s and how far along it that is, as a share."""
     number = next((i for i, part in enumerate(road.sections) if s <= part.end + 1e-6), len(road.sections) - 1)
     key = (road.id, number, lane)
@@ -98,3 +98,8 @@ def _nominal(network: Network) -> None:
             lane.limit = min(known) if known else FALLBACK
         else:
             lane.limit = lane.nominal
+            lane.highway = lane.nominal > HIGHWAY
+    for lane in lanes:  # A connector between motorways is one too.
+        if lane.nominal is None:
+            ends = (lane.predecessors, lane.successors)
+            lane.highway = all(any(lanes[n].highway for n in end if lanes[n].nominal is not None) for end in ends)

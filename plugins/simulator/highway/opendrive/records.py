@@ -13,6 +13,8 @@ DRIVING = frozenset(
 """Lane types that become lanes of the town."""
 PAVED = DRIVING | {"bidirectional", "shoulder", "parking", "border", "stop", "biking", "restricted", "special1"}
 """Lane types that are drawn as asphalt."""
+WALKING = frozenset({"sidewalk", "walking"})
+"""Lane types that pedestrians walk on."""
 
 Contact = Literal["start", "end"]
 

@@ -22,14 +22,14 @@ LONGEST = 100_000.0
 UNITS = {"mph": 0.44704, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "m/s": 1.0}
 
 
-class RoadReader(Values):
+class RoadReader:
     """One <road> element."""
 
-    def __init__(self, element: ET.Element, where: str) -> None:
-        super().__init__(f"road '{element.get('id')}'", where)
+    def __init__(self, element: Element, where: str) -> None:
+        self.values = Values(f"road '{element.get('id')}'", where)
         self.element = element
 
-    def read(self) -> Road:
+    def road(self) -> Road:
         """The record.
 
         Raises:
@@ -38,20 +38,22 @@ class RoadReader(Values):
         element = self.element
         if element.get("rule", "RHT") == "LHT":
             raise MapError(
-                f"{self.owner}: traffic drives on the left", where=self.where, allowed="right-hand traffic (rule='RHT')"
+                f"{self.values.owner}: traffic drives on the left",
+                where=self.values.where,
+                allowed="right-hand traffic (rule='RHT')",
             )
-        length = self.number(element, "length")
+        length = self.values.number(element, "length")
         if not 0.0 <= length <= LONGEST:
-            raise self.fault(f"length='{element.get('length')}' is out of range")
+            raise self.values.fault(f"length='{element.get('length')}' is out of range")
         link = element.find("link")
         junction = element.get("junction", "-1")
         return Road(
-            id=self.text(element, "id"),
+            id=self.values.text(element, "id"),
             length=length,
             junction=None if junction in ("-1", "") else junction,
             line=self.line(),
-            elevation=self.cubics(element.findall("elevationProfile/elevation")),
-            offset=self.cubics(element.findall("lanes/laneOffset")),
+            elevation=self.values.cubics(element.findall("elevationProfile/elevation")),
+            offset=self.values.cubics(element.findall("lanes/laneOffset")),
             sections=self.sections(length),
             predecessor=self.link(link, "predecessor"),
             successor=self.link(link, "successor"),
@@ -67,9 +69,9 @@ class RoadReader(Values):
             return None
         kind = element.get("elementType", "road")
         if kind not in ("road", "junction"):
-            raise self.fault(f"<{tag}> elementType='{kind}' is neither 'road' nor 'junction'")
-        target = self.text(element, "elementId")
-        return RoadLink("road" if kind == "road" else "junction", target, self.contact(element))
+            raise self.values.fault(f"<{tag}> elementType='{kind}' is neither 'road' nor 'junction'")
+        target = self.values.text(element, "elementId")
+        return RoadLink("road" if kind == "road" else "junction", target, self.values.contact(element))
 
     def line(self) -> ReferenceLine:
         """The plan view."""
@@ -78,27 +80,27 @@ class RoadReader(Values):
             curve = next((child for child in element if child.tag in PARAMETERS), None)
             if curve is None:
                 names = ", ".join(child.tag for child in element) or "nothing"
-                raise self.fault(f"<geometry> holds {names}, not one of {', '.join(PARAMETERS)}")
-            s, x, y, heading, length = (self.number(element, key) for key in ("s", "x", "y", "hdg", "length"))
+                raise self.values.fault(f"<geometry> holds {names}, not one of {', '.join(PARAMETERS)}")
+            s, x, y, heading, length = (self.values.number(element, key) for key in ("s", "x", "y", "hdg", "length"))
             if not 0.0 <= length <= LONGEST:
-                raise self.fault(f"<geometry> length='{element.get('length')}' is out of range")
+                raise self.values.fault(f"<geometry> length='{element.get('length')}' is out of range")
             pieces.append(Piece(s, x, y, heading, length, cast(Curve, curve.tag), self.curve(curve, length)))
         if not pieces:
-            raise self.fault("has no <planView> with a <geometry>")
+            raise self.values.fault("has no <planView> with a <geometry>")
         return ReferenceLine(tuple(sorted(pieces, key=lambda piece: piece.s)))
 
     def curve(self, element: Element, length: float) -> tuple[float, ...]:
         """The values of one curve, in the order that `Piece` takes them."""
         if element.tag == "arc":
-            return (self.number(element, "curvature"),)
+            return (self.values.number(element, "curvature"),)
         if element.tag == "spiral":
-            return self.number(element, "curvStart"), self.number(element, "curvEnd")
+            return self.values.number(element, "curvStart"), self.values.number(element, "curvEnd")
         if element.tag == "poly3":
-            return tuple(self.number(element, letter) for letter in "abcd")
+            return tuple(self.values.number(element, letter) for letter in "abcd")
         if element.tag == "paramPoly3":
             keys = [letter + axis for axis in "UV" for letter in "abcd"]
             last = length if element.get("pRange") == "arcLength" else 1.0
-            return (*(self.number(element, key) for key in keys), last)
+            return (*(self.values.number(element, key) for key in keys), last)
         return ()
 
     def limits(self) -> tuple[tuple[float, float], ...]:
@@ -111,18 +113,18 @@ class RoadReader(Values):
                 continue
             unit = speed.get("unit") or "m/s"
             if unit not in UNITS:
-                raise self.fault(f"<speed> unit='{unit}' is not one of {', '.join(UNITS)}")
-            value = self.number(speed, "max") * UNITS[unit]
+                raise self.values.fault(f"<speed> unit='{unit}' is not one of {', '.join(UNITS)}")
+            value = self.values.number(speed, "max") * UNITS[unit]
             if value > 0:
-                found.append((self.number(element, "s", 0.0), value))
+                found.append((self.values.number(element, "s", 0.0), value))
         return tuple(sorted(found))
 
     def sections(self, length: float) -> tuple[Section, ...]:
         """Lane sections in order of s."""
         elements = self.element.findall("lanes/laneSection")
         if not elements:
-            raise self.fault("has no <laneSection>")
-        starts = [min(max(self.number(element, "s"), 0.0), length) for element in elements]
+            raise self.values.fault("has no <laneSection>")
+        starts = [min(max(self.values.number(element, "s"), 0.0), length) for element in elements]
         order = sorted(range(len(elements)), key=starts.__getitem__)
         ends = [starts[i] for i in order[1:]] + [length]
         return tuple(
@@ -134,17 +136,17 @@ class RoadReader(Values):
         """One lane of a section."""
         link = element.find("link")
         near, far = (
-            tuple(self.whole(entry, "id") for entry in (link.findall(tag) if link is not None else ()))
+            tuple(self.values.whole(entry, "id") for entry in (link.findall(tag) if link is not None else ()))
             for tag in ("predecessor", "successor")
         )
         return LaneRecord(
-            id=self.whole(element, "id"),
+            id=self.values.whole(element, "id"),
             type=element.get("type", "none"),
-            width=self.cubics(element.findall("width"), "sOffset"),
+            width=self.values.cubics(element.findall("width"), "sOffset"),
             predecessors=near,
             successors=far,
             marks=tuple(
-                (self.number(mark, "sOffset", 0.0), mark.get("type", "none"), mark.get("color", "standard"))
+                (self.values.number(mark, "sOffset", 0.0), mark.get("type", "none"), mark.get("color", "standard"))
                 for mark in element.findall("roadMark")
             ),
         )
@@ -158,16 +160,16 @@ class RoadReader(Values):
             lanes = tuple(
                 (min(pair), max(pair))
                 for entry in element.findall("validity")
-                if (pair := (self.whole(entry, "fromLane"), self.whole(entry, "toLane"))) != (0, 0)
+                if (pair := (self.values.whole(entry, "fromLane"), self.values.whole(entry, "toLane"))) != (0, 0)
             )
             found.append(
                 SignalRecord(
-                    id=self.text(element, "id"),
-                    s=self.number(element, "s"),
-                    t=self.number(element, "t", 0.0),
+                    id=self.values.text(element, "id"),
+                    s=self.values.number(element, "s"),
+                    t=self.values.number(element, "t", 0.0),
                     orientation=element.get("orientation", "none"),
                     type=element.get("type", ""),
-                    value=self.number(element, "value") if _is_number(element.get("value")) else None,
+                    value=self.values.number(element, "value") if _is_number(element.get("value")) else None,
                     unit=element.get("unit", ""),
                     lanes=lanes,
                     reference=element.tag == "signalReference",
@@ -180,12 +182,14 @@ class RoadReader(Values):
         return ObjectRecord(
             type=element.get("type", ""),
             name=element.get("name", ""),
-            s=self.number(element, "s", 0.0),
-            t=self.number(element, "t", 0.0),
-            heading=self.number(element, "hdg", 0.0),
-            length=self.number(element, "length", 0.0),
-            width=self.number(element, "width", 0.0),
-            corners=tuple((self.number(c, "u"), self.number(c, "v")) for c in element.iter("cornerLocal")),
+            s=self.values.number(element, "s", 0.0),
+            t=self.values.number(element, "t", 0.0),
+            heading=self.values.number(element, "hdg", 0.0),
+            length=self.values.number(element, "length", 0.0),
+            width=self.values.number(element, "width", 0.0),
+            corners=tuple(
+                (self.values.number(c, "u"), self.values.number(c, "v")) for c in element.iter("cornerLocal")
+            ),
         )
 
 
