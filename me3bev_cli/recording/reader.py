@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 from numpy.typing import NDArray
 
 from me3bev_cli.errors import LogError
@@ -67,13 +68,12 @@ def read_steps(path: Path) -> Iterator[Step]:
     images: dict[str, NDArray[np.uint8]] = {}
     any_step = False
     with open(path, "rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
         try:
-            for schema, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
+            for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
                 if schema is not None and schema.name == "foxglove.CompressedImage":
-                    images[channel.topic] = image_array(decoded)
+                    images[channel.topic] = image_array(CompressedImage.FromString(message.data))
                 elif channel.topic == BEV_TOPIC:
-                    frame["bev"] = grid_array(decoded)
+                    frame["bev"] = grid_array(Grid.FromString(message.data))
                 elif channel.topic == STEP_TOPIC:
                     any_step = True
                     yield _step(path, json.loads(message.data), images, frame)

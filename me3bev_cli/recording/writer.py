@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
@@ -33,8 +33,8 @@ STEP_SCHEMA = {
         "record": {
             "type": "object",
             "properties": {
-                name: {"type": {"str": "string", "bool": "boolean"}.get(str(kind), "number")}
-                for name, kind in StepRecord.__annotations__.items()
+                name: {"type": {str: "string", bool: "boolean"}.get(kind, "number")}
+                for name, kind in get_type_hints(StepRecord).items()
             },
         },
     },

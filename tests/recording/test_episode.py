@@ -1,0 +1,109 @@
+"""What is written to an MCAP file is what is read back, and existing viewers' schemas are used."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import LineSimulator
+from mcap.reader import make_reader
+
+from me3bev_cli.api import CAMERA_NAMES, Camera, ObservationConfig
+from me3bev_cli.errors import LogError
+from me3bev_cli.recording import messages
+from me3bev_cli.recording.collect import episode_path, record_episode
+from me3bev_cli.recording.reader import episode_files, read_metadata, read_steps
+
+OBSERVATION = ObservationConfig(height=16, width=32)
+
+
+def write(folder: Path, quality: int = 0) -> Path:
+    simulator = LineSimulator(None)
+    env = simulator.make_env(OBSERVATION, map="F1", density="low")
+    path = episode_path(folder, "F1", "low", 0)
+    record_episode(
+        env, simulator.rig(OBSERVATION), lambda o, e: e.autopilot(), path, {"map": "F1"}, seed=5, quality=quality
+    )
+    return path
+
+
+def test_a_lossless_episode_comes_back_as_it_was(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    env = LineSimulator(None).make_env(OBSERVATION, map="F1", density="low")
+    observation, _ = env.reset(seed=5)
+    steps = list(read_steps(path))
+    assert len(steps) == 12
+    for step in steps:
+        np.testing.assert_array_equal(step.observation["images"], observation["images"])
+        np.testing.assert_array_equal(step.bev, env.bev_semantics())
+        np.testing.assert_allclose(step.observation["vehicle"], observation["vehicle"])
+        observation, _, _, _, info = env.step(step.action)
+        assert step.record["x"] == info["record"]["x"]
+        assert math.isnan(step.record["traffic_speed"])
+    assert read_metadata(path) == {"map": "F1", "seed": "5"}
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_topics_and_schemas(tmp_path: Path) -> None:
+    with open(write(tmp_path, quality=90), "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    found = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
+    assert found["/camera/front/image"] == "foxglove.CompressedImage"
+    assert found["/camera/back/calibration"] == "foxglove.CameraCalibration"
+    assert found["/tf"] == "foxglove.FrameTransform"
+    assert found["/bev/truth"] == "foxglove.Grid"
+    assert len([topic for topic in found if topic.endswith("/image")]) == len(CAMERA_NAMES)
+
+
+def test_a_camera_looking_left_is_turned_left() -> None:
+    camera = Camera(
+        name="left", width=4, height=4, fx=1, fy=1, cx=2, cy=2, position=(1.0, 0.5, 1.7), yaw=math.pi / 2, pitch=0.1
+    )
+    message = messages.camera_transform(camera, 0)
+    q = message.rotation
+    w, v = q.w, np.array([q.x, q.y, q.z])
+
+    def rotate(p: np.ndarray) -> np.ndarray:
+        return p + 2 * np.cross(v, np.cross(v, p) + w * p)
+
+    matrix = np.array(camera.camera_to_ego())[:3, :3]
+    for axis in np.eye(3):
+        np.testing.assert_allclose(rotate(axis), matrix @ axis, atol=1e-9)
+    # The optical axis of a camera turned left by 90 degrees and up by 0.1 rad.
+    np.testing.assert_allclose(rotate(np.array([0.0, 0.0, 1.0])), [0, math.cos(0.1), math.sin(0.1)], atol=1e-9)
+
+
+def test_the_grid_lies_in_the_ego_frame() -> None:
+    classes = np.zeros((200, 200), np.uint8)
+    classes[0, 0] = 6  # farthest ahead, farthest left
+    message = messages.grid_message(classes, 0.5, 0)
+    cells = np.frombuffer(message.data, np.uint8).reshape(-1, message.row_stride)
+    row, column = np.argwhere(cells == 6)[0]
+    x = message.pose.position.x + (column + 0.5) * message.cell_size.x
+    y = message.pose.position.y + (row + 0.5) * message.cell_size.y
+    assert (x, y) == (49.75, 49.75)
+    np.testing.assert_array_equal(messages.grid_array(message), classes)
+
+
+def test_damaged_logs_are_named(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="holds no MCAP file"):
+        episode_files(tmp_path)
+    path = write(tmp_path)
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(LogError, match="is damaged or truncated"):
+        list(read_steps(path))
+
+
+def test_a_failed_episode_leaves_no_file(tmp_path: Path) -> None:
+    simulator = LineSimulator(None)
+    env = simulator.make_env(OBSERVATION, map="F1", density="low")
+
+    def fail(observation: object, env: object) -> np.ndarray:
+        raise RuntimeError("driver broke")
+
+    with pytest.raises(RuntimeError, match="driver broke"):
+        record_episode(env, simulator.rig(OBSERVATION), fail, tmp_path / "a.mcap", {}, seed=1, quality=90)
+    assert not list(tmp_path.iterdir())
