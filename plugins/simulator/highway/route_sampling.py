@@ -113,7 +113,7 @@ def nominal_length(town: Town, route: Route) -> float:
     """
     s = np.arange(0.0, min(route.s[-1], DRIVE + 40.0), 0.5)
     heading = np.interp(s, route.s, route.heading)
-    curvature = np.abs(np.convolve(np.gradient(heading, s), np.full(5, 0.2), mode="same"))
+    curvature = np.abs(np.convolve(np.gradient(heading, s), np.full(3, 1 / 3), mode="same"))
     limit = town.arrays.limit[route.lanes[np.searchsorted(route.begins, s, side="right") - 1]]
     cap = np.minimum(limit, np.sqrt(LATERAL / np.maximum(curvature, 1e-4)))
     return float(_nominal(s, cap, ACCELERATION, DURATION))
