@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from me3bev_cli.api import BEV_CLASSES
 from me3bev_plugins.simulator.highway.camera_things import BUILDING, PEDESTRIAN, VEHICLE, Gathering
-from me3bev_plugins.simulator.highway.ground import ground_of
 from me3bev_plugins.simulator.highway.ground_tiles import SEMANTIC as GROUND_SEMANTIC
 from me3bev_plugins.simulator.highway.ground_tiles import Tiles, lookup
 from me3bev_plugins.simulator.highway.raster import COS, LENGTH, SEMANTIC, SIN, WIDTH, Things, X, Y
@@ -33,9 +32,9 @@ def bev_semantics(scene: Scene, cells: int = 200, cell: float = 0.5) -> Bytes:
         cell: metres.
     """
     near = Gathering(scene.town)
-    pose, count = near.collect(scene, 0.75 * cells * cell)
+    pose, count, level = near.collect(scene, 0.75 * cells * cell)
     out = np.empty((cells, cells), np.uint8)
-    _sample_ground(ground_of(scene.town), 0, pose, cell, out)
+    _sample_ground(near.ground.tiles, level, pose, cell, out)
     for semantic in (BUILDING, VEHICLE, PEDESTRIAN):
         _paint_boxes(near.things, count, semantic, semantic == PEDESTRIAN, cell, out)
     return out

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from me3bev_cli.api import BEV_CLASSES
 from me3bev_plugins.simulator.highway.geometry import Shape
 from me3bev_plugins.simulator.highway.ground import ground_of
+from me3bev_plugins.simulator.highway.ground_levels import Levels, hidden, level_of
 from me3bev_plugins.simulator.highway.ground_tiles import Paint, Tiles, lookup
 from me3bev_plugins.simulator.highway.raster import (
     BASE,
@@ -43,8 +44,6 @@ Ints = NDArray[np.int64]
 
 BLOCK = 32.0
 """Side of the grid's squares, metres."""
-LEVEL_GAP = 2.5
-"""Actors this much above or below the ego are on another level, metres."""
 ACTOR_RANGE = 140.0
 BUILDING, VEHICLE, PEDESTRIAN = (BEV_CLASSES.index(name) for name in ("building", "vehicle", "pedestrian"))
 _KIND_MOTORCYCLE, _KIND_TRUCK, _KIND_PEDESTRIAN = int(Kind.MOTORCYCLE), int(Kind.TRUCK), int(Kind.PEDESTRIAN)
@@ -150,7 +149,7 @@ def _add_signal(packer: _Packer, town: Town, signal: Signal) -> None:
         base=height - 0.5 * size[2],
         identity=signal.id,
     )
-    tiles = ground_of(town)
+    tiles = ground_of(town).tiles
     foot = head + 0.35 * forward
     for step in np.arange(0.0, 16.0, 0.5):
         spots = [head + 0.35 * forward + side * step * right for side in (1.0, -1.0)]
@@ -207,16 +206,18 @@ class Gathering:
     """
 
     def __init__(self, town: Town) -> None:
+        self.ground = ground_of(town)
         self.scenery = scenery_of(town)
         self.things = _things(256 + len(self.scenery.number))
 
-    def collect(self, scene: Scene, sight: float) -> tuple[Floats, int]:
+    def collect(self, scene: Scene, sight: float) -> tuple[Floats, int, int]:
         """Fills `things` with what is within `sight` metres.
 
         Returns:
-            The ego's pose (x, y, cosine and sine of heading) and the number of things.
+            The ego's pose (x, y, cosine and sine of heading), the number of things and the ground level.
         """
         ego, actors = scene.ego, scene.actors
+        level = level_of(self.ground.levels, ego.x, ego.y, ego.z)
         pose = np.array([ego.x, ego.y, np.cos(ego.heading), np.sin(ego.heading)])
         if len(self.scenery.number) + len(actors) > len(self.things.number):
             self.things = _things(2 * len(actors) + len(self.scenery.number))
@@ -225,7 +226,8 @@ class Gathering:
         columns = (actors.x, actors.y, actors.z, actors.heading, actors.speed)
         place = np.stack([*columns, actors.length, actors.width, actors.height], axis=1).astype(np.float64)
         state = (actors.kind, actors.colour, actors.braking)
-        return pose, gather_actors(place, *state, pose, ego.z, count, self.things)
+        count = gather_actors(place, *state, pose, self.ground.levels, level, count, self.things)
+        return pose, count, level
 
 
 def _things(rows: int) -> Things:
@@ -273,15 +275,16 @@ def gather_actors(
     colour: NDArray[np.uint8],
     braking: NDArray[np.bool_],
     pose: Floats,
-    z: float,
+    levels: Levels,
+    level: int,
     count: int,
     things: Things,
 ) -> int:
-    """Appends the actors near the ego and on its level; `place` (A, 8) is x, y, z, heading, speed, length,
+    """Appends the actors near the ego that its ground level shows; `place` (A, 8) is x, y, z, heading, speed, length,
     width, height. Returns the new count."""
     for i in range(len(kind)):
         dx, dy = place[i, 0] - pose[0], place[i, 1] - pose[1]
-        if dx * dx + dy * dy > ACTOR_RANGE**2 or abs(place[i, 2] - z) > LEVEL_GAP:
+        if dx * dx + dy * dy > ACTOR_RANGE**2 or hidden(levels, level, place[i, 0], place[i, 1], place[i, 2]):
             continue
         n, label = things.number[count], things.label[count]
         n[COS], n[SIN] = np.cos(place[i, 3]), np.sin(place[i, 3])

@@ -33,20 +33,20 @@ class Cameras:
 
     def __init__(self, town: Town, rig: Rig) -> None:
         self.rig = rig
-        self._ground = ground_of(town)
+        self._tiles = ground_of(town).tiles
         self._near = Gathering(town)
         self._meshes = meshes()
         self._faces_of = np.diff(self._meshes.face_start)
         self._lenses = _lenses(rig)
-        self._backdrop = backdrop(rig, self._ground.cell)
+        self._backdrop = backdrop(rig, self._tiles.cell)
         self._canvas = _canvas(rig.image_size, 1024)
 
     def render(self, scene: Scene, out: NDArray[np.uint8]) -> None:
         """Writes the pictures, r g b, into `out` (C, 3, H, W)."""
-        pose, count, sun = self._frame(scene)
+        pose, count, level, sun = self._frame(scene)
         for i in range(len(self.rig.cameras)):
             draw(i, self._lenses, self._meshes, self._near.things, count, sun, self._canvas)
-            paint(i, self._lenses, self._backdrop, self._ground, 0, pose, self._canvas, out[i])
+            paint(i, self._lenses, self._backdrop, self._tiles, level, pose, self._canvas, out[i])
 
     def truth(self, scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Depth along the optical axis (C, H, W), metres, inf in the sky; classes (C, H, W) as `BEV_CLASSES`."""
@@ -58,22 +58,22 @@ class Cameras:
         shape = (len(self.rig.cameras), *self.rig.image_size)
         depth, semantics = np.empty(shape, np.float32), np.empty(shape, np.uint8)
         instances = np.empty(shape, np.int32)
-        pose, count, sun = self._frame(scene)
-        fixed = (self._lenses, self._backdrop, self._ground, 0, pose, self._near.things, self._canvas)
+        pose, count, level, sun = self._frame(scene)
+        fixed = (self._lenses, self._backdrop, self._tiles, level, pose, self._near.things, self._canvas)
         for i in range(shape[0]):
             draw(i, self._lenses, self._meshes, self._near.things, count, sun, self._canvas)
             read_truth(i, *fixed, depth[i], semantics[i], instances[i])
         return depth, semantics, instances
 
-    def _frame(self, scene: Scene) -> tuple[NDArray[np.float64], int, NDArray[np.float64]]:
-        """Gathers what is near: the ego's pose, the number of things, and the sun in the ego frame."""
-        pose, count = self._near.collect(scene, SIGHT)
+    def _frame(self, scene: Scene) -> tuple[NDArray[np.float64], int, int, NDArray[np.float64]]:
+        """Gathers what is near: the ego's pose, how many things, the ground level, the sun in the ego frame."""
+        pose, count, level = self._near.collect(scene, SIGHT)
         faces = int(self._faces_of[self._near.things.label[:count, SHAPE]].sum())
         if faces > len(self._canvas.style):
             self._canvas = _canvas(self.rig.image_size, 2 * faces)
         cos, sin = pose[2], pose[3]
         sun = np.array([cos * SUN[0] + sin * SUN[1], cos * SUN[1] - sin * SUN[0], SUN[2], AMBIENT, DIRECT])
-        return pose, count, sun
+        return pose, count, level, sun
 
 
 def _lenses(rig: Rig) -> Lenses:

@@ -20,15 +20,15 @@ DASH, PERIOD = 3.0, 9.0
 STRIPE = 0.5
 """Width of a crosswalk's stripes and of the gaps between them, metres."""
 
-Painted = tuple[Floats, Paint]
-"""Polygons (N, K, 2) of one class, metres."""
+Painted = tuple[Floats, Paint, Floats | None]
+"""Polygons (N, K, 2) of one class, metres, and the height of each (N,) where it is known."""
 
 
-def lane_polygons(lanes: list[Lane]) -> Iterator[Painted]:
+def lane_polygons(town: Town) -> Iterator[Painted]:
     """Asphalt under lanes."""
-    for lane in lanes:
+    for lane in town.lanes:
         half = 0.5 * lane.width + 0.1
-        yield strip(lane.points[:, :2], -half, half), Paint.ASPHALT
+        yield strip(lane.points[:, :2], -half, half), Paint.ASPHALT, _heights(lane)
 
 
 def base_polygons(town: Town) -> Iterator[Painted]:
@@ -36,20 +36,20 @@ def base_polygons(town: Town) -> Iterator[Painted]:
     for walk in town.sidewalks:
         if len(walk.points) > 1:
             code = Paint.SIDEWALK if walk.paved else Paint.PATH
-            yield strip(walk.points, -0.5 * walk.width, 0.5 * walk.width), code
+            yield strip(walk.points, -0.5 * walk.width, 0.5 * walk.width), code, None
     for surface in town.surfaces:
         if len(surface) > 2:
-            yield surface[None, :, :2], Paint.ASPHALT
+            yield surface[None, :, :2], Paint.ASPHALT, None
 
 
-def line_polygons(town: Town, lanes: list[Lane]) -> Iterator[Painted]:
+def line_polygons(town: Town) -> Iterator[Painted]:
     """Lane lines, then stop lines, then crosswalks."""
-    for lane in lanes:
+    for lane in town.lanes:
         yield from _edge_lines(town, lane)
     stopping = {n for signal in town.signals for n in signal.lanes} | {s.lane for s in town.signs if s.kind == "stop"}
-    for lane in lanes:
+    for lane in town.lanes:
         if lane.id in stopping:
-            yield _stop_line(lane)[None], Paint.ZEBRA
+            yield _stop_line(lane)[None], Paint.ZEBRA, lane.points[-1:, 2]
     for crosswalk in town.crosswalks:
         yield from _crosswalk(crosswalk)
 
@@ -69,6 +69,12 @@ def offset_line(points: Floats, left: float) -> Floats:
     return points + left * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
 
 
+def _heights(lane: Lane) -> Floats:
+    """Of each piece between two points."""
+    z = lane.points[:, 2]
+    return np.asarray(0.5 * (z[1:] + z[:-1]))
+
+
 def _edge_lines(town: Town, lane: Lane) -> Iterator[Painted]:
     sides = ((lane.left_marking, 1.0, lane.left), (lane.right_marking, -1.0, lane.right))
     for marking, side, neighbour in sides:
@@ -82,13 +88,18 @@ def _edge_lines(town: Town, lane: Lane) -> Iterator[Painted]:
         edge = offset_line(lane.points[:, :2], side * (0.5 * lane.width - inward))
         code = Paint.YELLOW if yellow else Paint.WHITE
         if marking.endswith("solid"):
-            yield strip(edge, -0.5 * LINE, 0.5 * LINE), code
+            yield strip(edge, -0.5 * LINE, 0.5 * LINE), code, _heights(lane)
         else:
-            yield from ((quads, code) for quads in _dashes(edge))
+            for dash, share in _dashes(edge):
+                height = float(np.interp(share * lane.length, lane.s, lane.points[:, 2]))
+                yield dash, code, np.full(len(dash), height)
 
 
-def _dashes(edge: Floats) -> Iterator[Floats]:
-    """Dashes placed symmetrically about the line's middle, so that both directions paint the same ones."""
+def _dashes(edge: Floats) -> Iterator[tuple[Floats, float]]:
+    """Dashes and where along the line each is (0..1).
+
+    Placed symmetrically about the line's middle, so that both directions paint the same ones.
+    """
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(edge, axis=0).T))])
     middle = 0.5 * along[-1]
     count = int(middle // PERIOD) + 1
@@ -97,7 +108,7 @@ def _dashes(edge: Floats) -> Iterator[Floats]:
         if last - first > 0.3:
             at = np.linspace(first, last, 4)
             dash = np.stack([np.interp(at, along, edge[:, 0]), np.interp(at, along, edge[:, 1])], axis=1)
-            yield strip(dash, -0.5 * LINE, 0.5 * LINE)
+            yield strip(dash, -0.5 * LINE, 0.5 * LINE), float(0.5 * (first + last) / along[-1])
 
 
 def _stop_line(lane: Lane) -> Floats:
@@ -112,11 +123,11 @@ def _stop_line(lane: Lane) -> Floats:
 def _crosswalk(crosswalk: Crosswalk) -> Iterator[Painted]:
     """The whole crossing as gap, then stripes along the direction of traffic."""
     c = crosswalk.corners
-    yield c[None], Paint.ZEBRA_GAP
+    yield c[None], Paint.ZEBRA_GAP, None
     length = 0.5 * (np.hypot(*(c[2] - c[1])) + np.hypot(*(c[3] - c[0])))
     count = max(1, round((length - STRIPE) / (2 * STRIPE)))
     width = 1.0 / (2 * count + 1)
     share = (2 * np.arange(count + 1)[:, None] + np.array([0.0, 1.0])) * width
     first = c[0] + share[..., None] * (c[3] - c[0])
     second = c[1] + share[..., None] * (c[2] - c[1])
-    yield np.stack([first[:, 0], first[:, 1], second[:, 1], second[:, 0]], axis=1), Paint.ZEBRA
+    yield np.stack([first[:, 0], first[:, 1], second[:, 1], second[:, 0]], axis=1), Paint.ZEBRA, None

@@ -83,7 +83,14 @@ class Tiles(NamedTuple):
 
 
 @njit(cache=True)
-def fill_polygons(raster: Bytes, points: Floats, starts: NDArray[np.int64], codes: Bytes) -> None:
+def fill_polygons(
+    raster: Bytes,
+    points: Floats,
+    starts: NDArray[np.int64],
+    codes: Bytes,
+    chosen: NDArray[np.int64],
+    first_row: int,
+) -> None:
     """Paints polygons in order; a cell is inside when its centre is (even-odd rule).
 
     Args:
@@ -91,16 +98,19 @@ def fill_polygons(raster: Bytes, points: Floats, starts: NDArray[np.int64], code
         points: (P, 2) column, row, in cells.
         starts: (N + 1,) into `points`.
         codes: (N,)
+        chosen: which of the N to paint.
+        first_row: the row at which the raster begins.
     """
     rows, columns = raster.shape
     crossing = np.empty(np.max(np.diff(starts)) if len(starts) > 1 else 1)
-    for n in range(len(codes)):
+    for n in chosen:
         first, end = starts[n], starts[n + 1]
         low, high = np.inf, -np.inf
         for i in range(first, end):
             low, high = min(low, points[i, 1]), max(high, points[i, 1])
+        low, high = low - first_row, high - first_row
         for row in range(max(0, int(np.ceil(low - 0.5))), min(rows, int(np.ceil(high - 0.5)))):
-            y = row + 0.5
+            y = row + first_row + 0.5
             count = 0
             j = end - 1
             for i in range(first, end):
@@ -140,13 +150,20 @@ def lay_kerbs(raster: Bytes, asphalt: int, sidewalk: int, kerb: int, reach: int)
 
 
 @njit(cache=True)
-def index_tiles(raster: Bytes, index: NDArray[np.int32], count: int) -> int:
-    """Numbers the tiles that need a record of their own from `count` on; returns the new count."""
+def index_tiles(raster: Bytes, index: NDArray[np.int32], wanted: NDArray[np.bool_], count: int) -> int:
+    """Numbers the wanted tiles that need a record of their own from `count` on; returns the new count."""
     for ty in range(index.shape[0]):
         for tx in range(index.shape[1]):
-            tile = raster[ty * TILE : (ty + 1) * TILE, tx * TILE : (tx + 1) * TILE]
-            code = tile[0, 0]
-            if (tile == code).all():
+            if not wanted[ty, tx]:
+                continue
+            code = raster[ty * TILE, tx * TILE]
+            uniform = True
+            for row in range(ty * TILE, (ty + 1) * TILE):
+                for column in range(tx * TILE, (tx + 1) * TILE):
+                    uniform &= raster[row, column] == code
+                if not uniform:
+                    break
+            if uniform:
                 index[ty, tx] = code
             else:
                 index[ty, tx] = count
@@ -155,15 +172,17 @@ def index_tiles(raster: Bytes, index: NDArray[np.int32], count: int) -> int:
 
 
 @njit(cache=True)
-def fill_tiles(raster: Bytes, index: NDArray[np.int32], first: int, data: Bytes, mix: Bytes, mix_as: Floats) -> None:
-    """Writes the records numbered `first` and above: the cells and their mip levels."""
+def fill_tiles(
+    raster: Bytes, index: NDArray[np.int32], first: int, data: Bytes, mix: Bytes, mix_as: NDArray[np.int64]
+) -> None:
+    """Writes the records numbered `first` and above, the first at the beginning of `data`: cells and mip levels."""
     bases = mix.shape[0]
     counts = np.zeros((TILE, TILE, bases), np.int32)
     for ty in range(index.shape[0]):
         for tx in range(index.shape[1]):
             if index[ty, tx] < first:
                 continue
-            at = index[ty, tx] * RECORD
+            at = (index[ty, tx] - first) * RECORD
             counts[:] = 0
             for y in range(TILE):
                 for x in range(TILE):
