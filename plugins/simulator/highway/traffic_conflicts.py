@@ -1,0 +1,179 @@
+"""Where lanes meet: the stretches of two lanes on which vehicles following them would touch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from me3bev_plugins.simulator.highway.town import Ints, Town
+from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid, cell_range
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LEAD, ZONE
+
+HALF_WIDTHS = (1.25, 1.4)
+"""Half widths of the two classes of vehicles with their margins, metres."""
+ALONGSIDE = 0.6
+"""Paths that meet at less than this angle run together, radians."""
+LEVEL = 2.5
+"""Difference of height beyond which nothing meets, metres."""
+
+_POSE = np.dtype([("x", "f8"), ("y", "f8"), ("z", "f8"), ("heading", "f8"), ("s", "f8"), ("lane", "i4")], align=True)
+
+
+def find_zones(town: Town, lanes: NDArray, samples: NDArray, grid: Grid) -> NDArray:
+    """All zones (Z,), and in `lanes` which of them are whose. Lanes that follow one another have none."""
+    del grid  # Poses reach beyond the lanes' ends, so they have cells of their own.
+    near_start, near = _kin(town)
+    found: list[NDArray] = []
+    total = 0
+    for half, half_width, names in zip(HALF, HALF_WIDTHS, (("zone0", "zone1"), ("wide0", "wide1")), strict=True):
+        poses = _poses(lanes, samples, half)
+        rows = _meet(poses, build_grid(poses), near_start, near, half + 0.25, half_width, len(lanes))
+        zones = _records(town, rows)
+        owner = rows[:, 0].astype(np.int64)
+        lanes[names[0]] = total + np.searchsorted(owner, np.arange(len(lanes)), "left")
+        lanes[names[1]] = total + np.searchsorted(owner, np.arange(len(lanes)), "right")
+        found.append(zones)
+        total += len(zones)
+    return np.concatenate(found)
+
+
+def _kin(town: Town) -> tuple[Ints, Ints]:
+    """For every lane those that follow it, or that it follows, so soon that one vehicle may be on both."""
+    kin: list[set[int]] = [set() for _ in town.lanes]
+    for lane in town.lanes:
+        frontier = [(n, 0.0) for n in lane.successors]
+        while frontier:
+            current, between = frontier.pop()
+            kin[lane.id].add(current)
+            kin[current].add(lane.id)
+            between += town.lanes[current].length
+            if between < 12.0:
+                frontier += [(n, between) for n in town.lanes[current].successors]
+    start = np.concatenate([[0], np.cumsum([len(k) for k in kin])]).astype(np.int32)
+    return start, np.array([i for k in kin for i in sorted(k)], np.int32)
+
+
+def _poses(lanes: NDArray, samples: NDArray, half: float) -> NDArray:
+    """Poses about a metre apart along every lane; those of connectors go on straight beyond both ends."""
+    pieces = []
+    for i, lane in enumerate(lanes):
+        chosen = np.unique(np.append(np.arange(0, lane["count"], 2), lane["count"] - 1))
+        source = samples[lane["first"] + chosen]
+        piece = np.zeros(len(chosen), _POSE)
+        for name in ("x", "y", "z", "heading"):
+            piece[name] = source[name]
+        piece["s"], piece["lane"] = chosen * lane["step"], i
+        pieces.append(piece)
+        if lane["junction"] >= 0:
+            beyond = np.arange(1.0, half + 0.5)
+            pieces += [_straight_on(piece[0], -beyond), _straight_on(piece[-1], beyond)]
+    return np.concatenate(pieces)
+
+
+def _straight_on(pose: np.void, metres: NDArray) -> NDArray:
+    piece = np.repeat(np.array([pose]), len(metres))
+    piece["x"] += metres * np.cos(pose["heading"])
+    piece["y"] += metres * np.sin(pose["heading"])
+    piece["s"] += metres
+    return piece
+
+
+@njit(cache=True)
+def boxes_touch(
+    dx: float, dy: float, ca: float, sa: float, cb: float, sb: float, la: float, wa: float, lb: float, wb: float
+) -> bool:
+    """Whether two oriented boxes overlap (separating axes).
+
+    Args:
+        dx, dy: from the centre of a to that of b, metres.
+        ca, sa, cb, sb: cosine and sine of their headings.
+        la, wa, lb, wb: half lengths and half widths, metres.
+    """
+    c, s = abs(ca * cb + sa * sb), abs(ca * sb - sa * cb)
+    if abs(dx * ca + dy * sa) > la + lb * c + wb * s or abs(dy * ca - dx * sa) > wa + lb * s + wb * c:
+        return False
+    return not (abs(dx * cb + dy * sb) > lb + la * c + wa * s or abs(dy * cb - dx * sb) > wb + la * s + wa * c)
+
+
+@njit(cache=True)
+def _meet(  # noqa: PLR0913
+    poses: NDArray, grid: Grid, near_start: Ints, near: Ints, half: float, half_width: float, count: int
+) -> NDArray:
+    """Rows (lane, other, a0, a1, b0, b1, mean cosine of the angle between them), ordered by lane."""
+    reach = 2.0 * np.sqrt(half**2 + half_width**2)
+    cells = int(np.ceil(reach / 6.0))
+    box = np.zeros((count, 6))  # a0, a1, b0, b1, sum of cosines, number
+    touched = np.zeros(count, np.int64)
+    cosine, sine = np.cos(poses["heading"]), np.sin(poses["heading"])
+    rows = []
+    begin = 0
+    # Poses of a lane stand together.
+    while begin < len(poses):
+        lane = poses[begin].lane
+        end = begin
+        touches = 0
+        while end < len(poses) and poses[end].lane == lane:
+            p = poses[end]
+            r0, r1, c0, c1 = cell_range(grid, p.x, p.y)
+            r0, c0 = max(0, r0 + 1 - cells), max(0, c0 + 1 - cells)
+            r1, c1 = min(grid.shape[0], r1 - 1 + cells), min(grid.shape[1], c1 - 1 + cells)
+            for r in range(r0, r1):
+                for k in range(grid.start[r * grid.shape[1] + c0], grid.start[r * grid.shape[1] + c1]):
+                    q = grid.order[k]
+                    o = poses[q]
+                    if o.lane == lane or abs(o.z - p.z) > LEVEL:
+                        continue
+                    dx, dy = o.x - p.x, o.y - p.y
+                    if dx * dx + dy * dy > reach * reach:
+                        continue
+                    if not boxes_touch(
+                        dx, dy, cosine[end], sine[end], cosine[q], sine[q], half, half_width, half, half_width
+                    ):
+                        continue
+                    entry = box[o.lane]
+                    if entry[5] == 0.0:
+                        touched[touches] = o.lane
+                        touches += 1
+                        entry[0] = entry[1] = p.s
+                        entry[2] = entry[3] = o.s
+                    entry[0], entry[1] = min(entry[0], p.s), max(entry[1], p.s)
+                    entry[2], entry[3] = min(entry[2], o.s), max(entry[3], o.s)
+                    entry[4] += cosine[end] * cosine[q] + sine[end] * sine[q]
+                    entry[5] += 1.0
+            end += 1
+        for other in np.sort(touched[:touches]):
+            entry = box[other]
+            kin = False
+            for k in range(near_start[lane], near_start[lane + 1]):
+                kin = kin or near[k] == other
+            if not kin:
+                rows.append((float(lane), float(other), entry[0], entry[1], entry[2], entry[3], entry[4] / entry[5]))
+            entry[:] = 0.0
+        begin = end
+    result = np.zeros((len(rows), 7))
+    for i in range(len(rows)):
+        for j in range(7):
+            result[i, j] = rows[i][j]
+    return result
+
+
+def _records(town: Town, rows: NDArray) -> NDArray:
+    """Zones from the rows of `_meet`: of which kind, and how arc lengths on the two lanes correspond."""
+    zones = np.zeros(len(rows), ZONE)
+    for k, name in enumerate(("a0", "a1", "b0", "b1")):
+        zones[name] = rows[:, 2 + k]
+    zones["other"] = rows[:, 1]
+    for zone, row in zip(zones, rows, strict=True):
+        lane, other = town.lanes[int(row[0])], town.lanes[int(row[1])]
+        split = bool(set(lane.predecessors) & set(other.predecessors))
+        merge = bool(set(lane.successors) & set(other.successors))
+        zone["split"] = split
+        zone["kind"] = LEAD if split or merge or row[6] > np.cos(ALONGSIDE) else CROSS
+        zone["ratio"] = 1.0
+        if merge and not split:
+            zone["at_a"], zone["at_b"] = lane.length, other.length
+        elif not split:
+            zone["at_a"], zone["at_b"] = row[2], row[4]
+            zone["ratio"] = (row[3] - row[2]) / max(row[5] - row[4], 1e-6)
+    return zones

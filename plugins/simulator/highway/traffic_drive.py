@@ -1,0 +1,179 @@
+"""How fast: the acceleration of one vehicle from everything that lies on its way."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from me3bev_plugins.simulator.highway.town import Floats, Ints
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE
+from me3bev_plugins.simulator.highway.traffic_state import Board, speed_at
+from me3bev_plugins.simulator.highway.traffic_tables import EASE, Roads
+
+SIGHT = 120.0
+"""How far ahead a driver looks, metres."""
+HARDEST = 8.0
+"""Deceleration in an emergency, m/s^2."""
+FIRM = 4.0
+"""Deceleration beyond which stopping at a mark is no longer left to the model, m/s^2."""
+CURB_GAP = 2.0
+"""What is left free before pedestrians, metres."""
+
+
+@njit(cache=True)
+def decision_distance(speed: float) -> float:
+    """How far before a gate a driver settles whether to go, metres."""
+    return speed * speed / 4.0 + 12.0
+
+
+@njit(cache=True)
+def free_road(idm: Floats, speed: float, wanted: float) -> float:
+    """IDM without a leader, m/s^2."""
+    return idm[0] * (1.0 - (max(speed, 0.0) / max(wanted, 0.01)) ** idm[4])
+
+
+@njit(cache=True)
+def follow(idm: Floats, free: float, speed: float, leader: float, distance: float, lengths: float) -> float:
+    """IDM behind a leader, m/s^2, measured between centres as highway-env does.
+
+    Args:
+        free: acceleration without the leader, m/s^2.
+        speed, leader: m/s.
+        distance: between centres, metres.
+        lengths: half of both lengths together, metres.
+    """
+    wanted = idm[3] + lengths + speed * idm[2] + speed * (speed - leader) / (2.0 * np.sqrt(idm[0] * idm[1]))
+    accel = free - idm[0] * (max(wanted, 0.0) / max(distance, 0.01)) ** 2
+    gap = distance - lengths
+    closing = speed * speed - max(leader, 0.0) ** 2
+    if closing > 0.0 and gap < closing / (2.0 * FIRM) + 0.5:
+        # The model alone brakes late for what turns up suddenly.
+        accel = min(accel, -closing / (2.0 * max(gap - 0.5, 0.05)))
+    return accel
+
+
+@njit(cache=True)
+def halt(idm: Floats, free: float, speed: float, distance: float) -> float:
+    """Acceleration to stand `distance` metres further on, m/s^2."""
+    if distance <= 0.05:
+        return -HARDEST if speed > 0.0 else -0.1
+    wanted = 0.3 + speed * 0.5 + speed * speed / (2.0 * np.sqrt(idm[0] * idm[1]))
+    accel = free - idm[0] * (wanted / distance) ** 2
+    needed = speed * speed / (2.0 * distance)
+    if needed > 0.5 * FIRM:
+        accel = min(accel, -needed)
+    return accel
+
+
+@njit(cache=True)
+def drive(roads: Roads, board: Board, car: NDArray, path: Ints, i: int) -> float:
+    """The longitudinal acceleration that a careful driver in vehicle `i` would choose now, m/s^2."""
+    idm = roads.idm
+    wanted = speed_at(roads, path[0], car.s)
+    start = -car.s
+    for k in range(1, car.count):
+        start += roads.lanes[path[k - 1]].length
+        if start > SIGHT:
+            break
+        entry = roads.lanes[path[k]].speed
+        wanted = min(wanted, np.sqrt(entry * entry + 2.0 * EASE * start))
+    free = free_road(idm, car.speed, wanted * car.eager)
+    accel = free
+    start = -car.s
+    half = 0.5 * car.length
+    for k in range(car.count):
+        lane = roads.lanes[path[k]]
+        if start > SIGHT:
+            break
+        if k > car.clear and lane.gate:
+            before = roads.lanes[path[k - 1]]
+            line = start - (before.length - before.stop) - half - 0.5
+            if line < -1.0:  # Beyond the crossing already: the gate itself counts.
+                line = start - half - 0.5
+            if line < decision_distance(car.speed) + 1.0:
+                accel = min(accel, halt(idm, free, car.speed, line))
+            break
+        accel = min(accel, _meet_zones(roads, board, car, lane, start, i, free))
+        accel = min(accel, _meet_walkers(roads, board, car, lane, start, free))
+        blocked, value = _meet_leader(roads, board, car, path[k], start, i, free)
+        accel = min(accel, value)
+        if blocked:
+            break
+        start += lane.length
+        if k == car.count - 1 and lane.follow0 == lane.follow1:
+            accel = min(accel, halt(idm, free, car.speed, start - half))
+    if car.leaving >= 0:
+        accel = min(accel, _meet_leader(roads, board, car, car.leaving, -(car.s + car.shift), i, free)[1])
+    return min(max(accel, -HARDEST), idm[5])
+
+
+@njit(cache=True)
+def _meet_leader(
+    roads: Roads, board: Board, car: NDArray, lane: int, start: float, i: int, free: float
+) -> tuple[bool, float]:
+    """Whether somebody is ahead on a lane that begins `start` metres from the centre, and the acceleration for it."""
+    nearest, found = np.inf, -1
+    k = board.heads[lane]
+    while k >= 0:
+        entry = board.entries[k]
+        distance = start + entry.s
+        if entry.vehicle != i and distance < nearest and (distance > 0.0 or (distance == 0.0 and entry.vehicle < i)):
+            nearest, found = distance, k
+        k = entry.next
+    if found < 0:
+        return False, free
+    entry = board.entries[found]
+    lengths = 0.5 * car.length + entry.half
+    return True, follow(roads.idm, free, car.speed, entry.speed, nearest, lengths)
+
+
+@njit(cache=True)
+def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: NDArray, start: float, i: int, free: float) -> float:
+    """Acceleration for those who are where other lanes meet this one."""
+    accel = free
+    for size in range(car.size, 2):
+        first, last = (lane.zone0, lane.zone1) if size == 0 else (lane.wide0, lane.wide1)
+        own = 0.5 * car.length - HALF[size]
+        for z in range(first, last):
+            zone = roads.zones[z]
+            k = board.heads[zone.other]
+            if k < 0 or start + zone.a1 + own < 0.0:
+                continue
+            while k >= 0:
+                entry = board.entries[k]
+                k = entry.next
+                over = entry.half - HALF[size]
+                if entry.vehicle == i or entry.s < zone.b0 - over or entry.s > zone.b1 + over:
+                    continue
+                if max(car.size, int(entry.half > LARGE)) != size:
+                    continue
+                if zone.kind == CROSS:
+                    room = start + zone.a0 - own
+                    if room > 0.0:
+                        accel = min(accel, halt(roads.idm, free, car.speed, room - 0.5))
+                    continue
+                distance = start + zone.at_a + (entry.s - zone.at_b) * zone.ratio
+                if distance > 0.0 or (distance == 0.0 and entry.vehicle < i):
+                    lengths = 0.5 * car.length + entry.half
+                    accel = min(accel, follow(roads.idm, free, car.speed, entry.speed, distance, lengths))
+    return accel
+
+
+@njit(cache=True)
+def _meet_walkers(
+    roads: Roads, board: Board, car: NDArray, lane: NDArray, start: float, free: float
+) -> float:
+    """Acceleration for pedestrians in the way, and for those who wait where they may cross."""
+    accel = free
+    half = 0.5 * car.length
+    for k in range(lane.cross0, lane.cross1):
+        link = roads.links[k]
+        ahead = start + link.s - half
+        if ahead < -half:
+            continue
+        if board.walkers[k] > 0.0:
+            accel = min(accel, halt(roads.idm, free, car.speed, ahead - CURB_GAP))
+        elif board.asked[link.crossing] and ahead - CURB_GAP > car.speed * car.speed / (2.0 * 2.5):
+            accel = min(accel, halt(roads.idm, free, car.speed, ahead - CURB_GAP))
+    return accel

@@ -1,0 +1,127 @@
+"""The records that compiled traffic code works on: one structured array per kind of thing.
+
+Fixed for a town: `LANE`, `SAMPLE`, `ZONE`, `LINK`. Changing every step: `VEHICLE`, `ENTRY`, `USER`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+PATH = 12
+"""Lanes of a vehicle's own way ahead that are remembered, the one it is on first."""
+TRAIL = 3
+"""Lanes behind a vehicle that are remembered, the latest first."""
+SPACING = 0.5
+"""Nearly the distance between two samples of a lane, metres (each lane divides its length evenly)."""
+
+SMALL, MEDIUM, LONG = 1, 2, 4
+"""Bits of `LANE.admits`: vehicles up to 6.2 m, up to 9 m, longer ones."""
+GO, YIELD, STOP = 0, 1, 2
+"""Values of `LANE.sign`."""
+CROSS, LEAD = 0, 1
+"""Values of `ZONE.kind`: paths that cross, paths that run together (split, merge or overlap)."""
+HALF = (2.5, 4.5)
+"""Half lengths of the vehicles for which the two classes of zones were measured, metres."""
+LARGE = 3.1
+"""Half length beyond which a vehicle belongs to the second class, metres."""
+
+LANE = np.dtype(
+    [
+        ("length", "f8"),
+        ("step", "f8"),  # between samples
+        ("limit", "f8"),  # m/s
+        ("width", "f8"),
+        ("stop", "f8"),  # arc length at which a front halts
+        ("speed", "f8"),  # at which the lane may be entered, m/s
+        ("first", "i4"),  # sample
+        ("count", "i4"),  # of samples
+        ("left", "i4"),  # neighbour or -1
+        ("right", "i4"),
+        ("junction", "i4"),  # or -1
+        ("gate", "i4"),  # 1: may be entered only when granted
+        ("admits", "i4"),
+        ("signal", "i4"),  # that governs its end, or -1
+        ("sign", "i4"),
+        ("rank", "i4"),  # 0 first .. 3 last, of the right of way on a connector
+        ("turn", "i4"),  # 0 straight, 1 right, 2 left, 3 back
+        ("follow0", "i4"),  # successors
+        ("follow1", "i4"),
+        ("zone0", "i4"),  # zones between small vehicles
+        ("zone1", "i4"),
+        ("wide0", "i4"),  # zones where one of the two is large
+        ("wide1", "i4"),
+        ("cross0", "i4"),  # crossings of pedestrians
+        ("cross1", "i4"),
+    ],
+    align=True,
+)
+
+SAMPLE = np.dtype(
+    [("x", "f8"), ("y", "f8"), ("z", "f8"), ("heading", "f8"), ("speed", "f8"), ("lane", "i4")], align=True
+)
+"""A point of a lane's centre; `speed` is the most at which a vehicle may pass it, m/s."""
+
+ZONE = np.dtype(
+    [
+        ("a0", "f8"),
+        ("a1", "f8"),
+        ("b0", "f8"),
+        ("b1", "f8"),
+        ("at_a", "f8"),  # arc lengths that stand for one another, and metres of a per metre of b
+        ("at_b", "f8"),
+        ("ratio", "f8"),
+        ("other", "i4"),
+        ("kind", "i4"),
+        ("split", "i4"),  # 1: both begin at the end of the same lane
+    ],
+    align=True,
+)
+"""Where a lane meets another one: the arc lengths of a vehicle's centre on this lane (a) and the other (b)."""
+
+LINK = np.dtype([("crossing", "i4"), ("s", "f8"), ("along", "f8")], align=True)
+"""A lane met by a crossing: at the lane's arc length `s`, `along` metres from the crossing's first end."""
+
+VEHICLE = np.dtype(
+    [
+        ("s", "f8"),  # of the centre on its lane
+        ("speed", "f8"),
+        ("accel", "f8"),
+        ("offset", "f8"),  # metres left of its lane's centre
+        ("offset0", "f8"),  # the same when the change of lane began
+        ("change", "f8"),  # metres that are left of it
+        ("span", "f8"),  # metres that it takes
+        ("shift", "f8"),  # arc length on the lane being left, minus `s`
+        ("x", "f8"),
+        ("y", "f8"),
+        ("z", "f8"),
+        ("heading", "f8"),
+        ("length", "f8"),
+        ("width", "f8"),
+        ("height", "f8"),
+        ("eager", "f8"),  # share of the permitted speed that it drives
+        ("arrival", "f8"),  # when it came up to the gate ahead, s
+        ("wait", "f8"),  # for how long it has stood there
+        ("jam", "f8"),  # for how long there has been no room beyond
+        ("still", "f8"),  # for how long it has stood
+        ("timer", "f8"),  # until it thinks of another lane
+        ("rng", "u8"),
+        ("kind", "i4"),
+        ("size", "i4"),  # class of its zones
+        ("admits", "i4"),
+        ("count", "i4"),  # of its path
+        ("clear", "i4"),  # how far along its path it may go through gates
+        ("gate", "i4"),  # the gate for which `arrival` holds, or -1
+        ("halted", "i4"),  # lane at whose stop sign it has stopped, or -1
+        ("leaving", "i4"),  # lane being left, or -1
+    ],
+    align=True,
+)
+
+ENTRY = np.dtype(
+    [("s", "f8"), ("half", "f8"), ("speed", "f8"), ("vehicle", "i4"), ("next", "i4")],
+    align=True,
+)
+"""A vehicle on a lane, in a list per lane; `s` may lie beyond the lane's ends when only a part of it is there."""
+
+USER = np.dtype([("s", "f8"), ("vehicle", "i4"), ("claim", "i4"), ("next", "i4")], align=True)
+"""A vehicle that may use a connector (or, `claim`, is next to): `s` of its centre, negative before the connector."""

@@ -1,0 +1,303 @@
+"""Who may enter a junction: every gate is granted to one vehicle after another.
+
+A vehicle near a gate is granted it when its light and sign allow it, nobody else has, or is sooner to claim, a path
+that meets its own, and there is room for it beyond. The order is: those who have waited long, then by rank (main
+road before minor, straight on before turning across), then by arrival, then by index; so somebody is always first
+and nobody waits for ever.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from me3bev_plugins.simulator.highway.scene import Light
+from me3bev_plugins.simulator.highway.town import Ints
+from me3bev_plugins.simulator.highway.traffic_board import BERTH, put_user, register
+from me3bev_plugins.simulator.highway.traffic_drive import decision_distance
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, STOP
+from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, choose_next
+from me3bev_plugins.simulator.highway.traffic_tables import Roads
+
+PATIENCE = 10.0
+"""After this a waiting vehicle goes before all others, seconds."""
+DETOUR = 6.0
+"""After this without room beyond the junction another way is taken, seconds."""
+LAPSE = 5.0
+"""A vehicle that stands before its gate for so long loses the grant, seconds."""
+EGO_CLAIM = 15.0
+"""Within this distance the ego claims its gate, metres."""
+STOPPABLE = 3.5
+"""An amber light is obeyed if this deceleration is enough, m/s^2."""
+BRISK = 2.0
+"""Acceleration with which a vehicle is expected to clear a junction, m/s^2."""
+_RED, _AMBER = int(Light.RED), int(Light.AMBER)
+
+GRANTED, CONFLICT, NO_ROOM, BARRED = 0, 1, 2, 3
+
+
+@njit(cache=True)
+def grant_gates(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float) -> None:
+    """Take grants back where they no longer hold, then grant gates in order; `write_users` must have run."""
+    count = len(fleet.cars)
+    order = np.empty(count, np.int64)
+    key = np.empty((count, 2))
+    gates = np.empty(count, np.int64)
+    lines = np.empty(count)
+    waiting = 0
+    for i in range(count):
+        car, path = fleet.cars[i], fleet.path[i]
+        gate, line = next_gate(roads, car, path)
+        if gate < 0:
+            car.gate = -1
+            continue
+        reach = decision_distance(car.speed)
+        if i == count - 1:
+            reach = max(reach, EGO_CLAIM)
+        if line > reach:
+            continue
+        _note_arrival(roads, car, path, gate, line, time, dt)
+        rank = float(roads.lanes[path[gate]].rank)
+        if car.wait > PATIENCE:
+            rank = -1.0
+        # Insertion keeps the candidates ordered by (rank, arrival, index).
+        at = waiting
+        while at > 0 and (
+            key[order[at - 1], 0] > rank or (key[order[at - 1], 0] == rank and key[order[at - 1], 1] > car.arrival)
+        ):
+            order[at] = order[at - 1]
+            at -= 1
+        order[at] = i
+        key[i, 0], key[i, 1], gates[i], lines[i] = rank, car.arrival, gate, line
+        waiting += 1
+    for n in range(waiting):
+        i = order[n]
+        _consider(roads, fleet, board, i, gates[i], lines[i], dt)
+
+
+@njit(cache=True)
+def next_gate(roads: Roads, car: NDArray, path: Ints) -> tuple[int, float]:
+    """(place in the path of the first gate not granted or -1, metres from the front to the end of the lane before)."""
+    start = -car.s
+    for k in range(1, car.count):
+        start += roads.lanes[path[k - 1]].length
+        if k > car.clear and roads.lanes[path[k]].gate:
+            return k, start - 0.5 * car.length
+    return -1, 0.0
+
+
+@njit(cache=True)
+def revoke(roads: Roads, fleet: Fleet, board: Board) -> None:
+    """Take back grants of vehicles still before the line: the light has changed, or they have stood too long."""
+    for i in range(len(fleet.cars)):
+        car, path = fleet.cars[i], fleet.path[i]
+        if car.clear == 0:
+            continue
+        start = -car.s
+        k = 1
+        while k <= car.clear:
+            start += roads.lanes[path[k - 1]].length
+            if roads.lanes[path[k]].gate:
+                break
+            k += 1
+        if k > car.clear:
+            continue
+        line = start - 0.5 * car.length
+        if line <= 0.0 or roads.lanes[path[0]].gate:
+            continue
+        if not _light_allows(roads, board, car, path[k - 1], line) or car.still > LAPSE:
+            car.clear = 0
+
+
+@njit(cache=True)
+def _light_allows(roads: Roads, board: Board, car: NDArray, lane: int, line: float) -> bool:
+    signal = roads.lanes[lane].signal
+    if signal < 0:
+        return True
+    state = board.lights[signal]
+    if state == _RED:
+        return line < 0.0
+    return state != _AMBER or car.speed**2 > 2.0 * STOPPABLE * max(line - 0.5, 0.01)
+
+
+@njit(cache=True)
+def _note_arrival(roads: Roads, car: NDArray, path: Ints, gate: int, line: float, time: float, dt: float) -> None:
+    if car.gate != path[gate]:
+        car.gate, car.arrival, car.wait, car.jam = path[gate], time, 0.0, 0.0
+    if car.speed < 0.5 and line < 12.0:
+        car.wait += dt
+    before = roads.lanes[path[gate - 1]]
+    if before.sign == STOP and car.speed < 0.3 and line - (before.length - before.stop) < 3.0:
+        car.halted = path[gate - 1]
+
+
+@njit(cache=True)
+def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line: float, dt: float) -> None:
+    """Grant vehicle `i` its gate, or let it claim the path if only others are in its way."""
+    car, path = fleet.cars[i], fleet.path[i]
+    last = _chain_end(roads, car, path, gate)
+    verdict = _judge(roads, fleet, board, i, gate, last, line)
+    if verdict == GRANTED:
+        car.clear = last
+        car.jam = 0.0
+        start = -car.s
+        for k in range(last + 1):
+            if k >= gate and roads.lanes[path[k]].gate:
+                put_user(board, path[k], i, -start, 0)
+            start += roads.lanes[path[k]].length
+        if last + 1 < car.count:
+            board.bound[path[last + 1]] += car.length + BERTH
+        return
+    if verdict == CONFLICT and line < 12.0:
+        start = -car.s
+        for k in range(last + 1):
+            if k >= gate and roads.lanes[path[k]].gate:
+                put_user(board, path[k], i, -start, 1)
+            start += roads.lanes[path[k]].length
+    if verdict == NO_ROOM and car.speed < 0.5:
+        car.jam += dt
+        if car.jam > DETOUR and i < len(fleet.cars) - 1:
+            _take_detour(roads, car, path, gate)
+
+
+@njit(cache=True)
+def _take_detour(roads: Roads, car: NDArray, path: Ints, gate: int) -> None:
+    other = choose_next(roads, car, path[gate - 1], path[gate])
+    car.jam = 0.0
+    if other >= 0 and other != path[gate]:
+        path[gate] = other
+        car.count = gate + 1
+
+
+@njit(cache=True)
+def _chain_end(roads: Roads, car: NDArray, path: Ints, gate: int) -> int:
+    """The last gate that must be granted with this one, because the vehicle could not stop clear of it between."""
+    last, between = gate, 0.0
+    for k in range(gate + 1, car.count):
+        lane = roads.lanes[path[k]]
+        if lane.gate:
+            last, between = k, 0.0
+            continue
+        between += lane.length
+        if between > car.length + 2.0:
+            break
+    return last
+
+
+@njit(cache=True)
+def _judge(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: int, line: float) -> int:
+    car, path = fleet.cars[i], fleet.path[i]
+    if not _leader_is_through(roads, fleet, board, i, gate):
+        return BARRED
+    before = roads.lanes[path[gate - 1]]
+    if before.sign == STOP and car.halted != path[gate - 1]:
+        return BARRED
+    start = -car.s
+    clash = False
+    for k in range(last + 1):
+        lane = roads.lanes[path[k]]
+        if k >= gate and lane.gate:
+            if not _light_allows(roads, board, car, path[k - 1], line):
+                return BARRED
+            clash = clash or _conflicts(roads, fleet, board, i, lane, start)
+        start += lane.length
+    if not _has_room(roads, board, car, path, last):
+        return NO_ROOM
+    return CONFLICT if clash else GRANTED
+
+
+@njit(cache=True)
+def _leader_is_through(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int) -> bool:
+    """Whether nobody is between vehicle `i` and its gate who has not been granted one."""
+    car, path = fleet.cars[i], fleet.path[i]
+    start = -car.s
+    for k in range(gate):
+        n = board.heads[path[k]]
+        while n >= 0:
+            entry = board.entries[n]
+            n = entry.next
+            if entry.vehicle == i or start + entry.s <= 0.0 or entry.s > roads.lanes[path[k]].length:
+                continue
+            other = fleet.cars[entry.vehicle]
+            if other.clear == 0 and not roads.lanes[fleet.path[entry.vehicle, 0]].gate:
+                return False
+        start += roads.lanes[path[k]].length
+    return True
+
+
+@njit(cache=True)
+def _has_room(roads: Roads, board: Board, car: NDArray, path: Ints, last: int) -> bool:
+    """Whether the vehicle can stand clear of the last gate, behind those who are there or on their way."""
+    if last + 1 >= car.count:
+        return True
+    room = 0.0
+    for k in range(last + 1, car.count):
+        lane = roads.lanes[path[k]]
+        if lane.gate and k > last + 1:
+            break
+        rear, speed = np.inf, 0.0
+        n = board.heads[path[k]]
+        while n >= 0:
+            entry = board.entries[n]
+            n = entry.next
+            if entry.s - entry.half < rear and entry.s >= 0.0:
+                rear, speed = entry.s - entry.half, entry.speed
+        if rear < np.inf:
+            room += rear + 2.0 * max(speed, 0.0) - 5.0
+            break
+        room += lane.length
+        if room > 80.0:
+            return True
+    return room - board.bound[path[last + 1]] > car.length + 0.5
+
+
+@njit(cache=True)
+def _time_to(metres: float, speed: float, accel: float, limit: float) -> float:
+    """Seconds to cover a distance, speeding up to a limit."""
+    if metres <= 0.0:
+        return 0.0
+    limit = max(limit, speed, 0.5)
+    ramp = (limit * limit - speed * speed) / (2.0 * accel)
+    if metres <= ramp:
+        return (np.sqrt(speed * speed + 2.0 * accel * metres) - speed) / accel
+    return (limit - speed) / accel + (metres - ramp) / limit
+
+
+@njit(cache=True)
+def _conflicts(roads: Roads, fleet: Fleet, board: Board, i: int, lane: NDArray, start: float) -> bool:
+    """Whether a user or claimant of another connector is in the way of vehicle `i` on this one."""
+    car = fleet.cars[i]
+    for size in range(car.size, 2):
+        first, last = (lane.zone0, lane.zone1) if size == 0 else (lane.wide0, lane.wide1)
+        own = 0.5 * car.length - HALF[size]
+        for z in range(first, last):
+            zone = roads.zones[z]
+            if zone.split:
+                continue
+            k = board.user_heads[zone.other]
+            while k >= 0:
+                user = board.users[k]
+                k = user.next
+                other = fleet.cars[user.vehicle]
+                if user.vehicle == i or max(car.size, int(0.5 * other.length > LARGE)) != size:
+                    continue
+                over = 0.5 * other.length - HALF[size]
+                if user.s > zone.b1 + over + 0.5:
+                    continue
+                if user.claim:
+                    return True
+                if zone.kind == CROSS:
+                    mine = _time_to(start + zone.a1 + own, car.speed, BRISK, max(lane.speed, 4.0))
+                    theirs = _time_to(zone.b0 - over - user.s, other.speed, 3.5, roads.lanes[zone.other].limit)
+                    if mine + 1.0 > theirs:
+                        return True
+                    continue
+                ahead = start + zone.at_a + (user.s - zone.at_b) * zone.ratio
+                clear = 0.5 * (car.length + other.length) + 2.0
+                if ahead > clear:
+                    continue
+                gain = max(0.0, other.speed**2 - car.speed**2) / 5.0
+                if -ahead < clear + other.speed + gain:
+                    return True
+    return False

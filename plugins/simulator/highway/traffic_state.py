@@ -1,0 +1,204 @@
+"""The state of the world's traffic as arrays, and the small steps everything is made of: paths, draws, poses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from me3bev_plugins.simulator.highway.town import Floats, Ints
+from me3bev_plugins.simulator.highway.traffic_records import ENTRY, PATH, TRAIL, USER, VEHICLE
+from me3bev_plugins.simulator.highway.traffic_tables import Roads
+
+HORIZON = 150.0
+"""How far ahead a vehicle plans its way, metres."""
+
+
+class Fleet(NamedTuple):
+    """N vehicles and, last, the ego."""
+
+    cars: NDArray
+    """(N + 1,) `VEHICLE`"""
+    path: Ints
+    """(N + 1, PATH) lanes ahead, the current one first."""
+    trail: Ints
+    """(N + 1, TRAIL) lanes behind or -1, the latest first."""
+
+
+class Board(NamedTuple):
+    """Who is where, written anew every step: lists threaded through pools, one head per lane."""
+
+    entries: NDArray
+    """`ENTRY`s of the vehicles on each lane."""
+    heads: Ints
+    """(L,) first entry or -1."""
+    users: NDArray
+    """`USER`s of each connector."""
+    user_heads: Ints
+    """(L,) first user or -1."""
+    bound: Floats
+    """(L,) metres that granted vehicles will take up on the lane behind their junction."""
+    used: Ints
+    """(2,) entries and users in use."""
+    lights: Ints
+    """(S,) state of every signal."""
+    walkers: Floats
+    """(K,) per link: 1 when a pedestrian is, or is about to be, in the way of the lane there."""
+    asked: Ints
+    """(C,) per crossing: 1 when somebody waits to cross."""
+    hot: Ints
+    """(C,) per crossing: 1 when a vehicle is on it or too near to stop before it."""
+
+
+def new_fleet(count: int) -> Fleet:
+    """Room for `count` vehicles and the ego."""
+    return Fleet(
+        np.zeros(count + 1, VEHICLE),
+        np.zeros((count + 1, PATH), np.int32),
+        np.full((count + 1, TRAIL), -1, np.int32),
+    )
+
+
+def new_board(lanes: int, vehicles: int, signals: int, links: int, crossings: int) -> Board:
+    """Empty lists for a town and a number of vehicles."""
+    return Board(
+        np.zeros((vehicles + 1) * 6 + 256, ENTRY),
+        np.full(lanes, -1, np.int32),
+        np.zeros((vehicles + 1) * 2 * PATH, USER),
+        np.full(lanes, -1, np.int32),
+        np.zeros(lanes),
+        np.zeros(2, np.int32),
+        np.zeros(signals, np.int32),
+        np.zeros(links),
+        np.zeros(crossings, np.int32),
+        np.zeros(crossings, np.int32),
+    )
+
+
+@njit(cache=True)
+def draw(record: NDArray) -> float:
+    """The record's next random number in [0, 1) (splitmix64; the state is its field `rng`)."""
+    record.rng = record.rng + np.uint64(0x9E3779B97F4A7C15)
+    z = record.rng
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return float(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@njit(cache=True)
+def choose_next(roads: Roads, car: NDArray, lane: int, barred: int) -> int:
+    """A random successor of `lane` that admits the vehicle, another one than `barred` if there is one; -1 for none.
+
+    Turning back is for where there is nothing else.
+    """
+    record = roads.lanes[lane]
+    for attempt in range(4):
+        count = 0
+        for k in range(record.follow0, record.follow1):
+            count += _suits(roads, car, roads.follow[k], barred, attempt)
+        if count == 0:
+            continue
+        pick = int(draw(car) * count)
+        for k in range(record.follow0, record.follow1):
+            if _suits(roads, car, roads.follow[k], barred, attempt):
+                if pick == 0:
+                    return roads.follow[k]
+                pick -= 1
+    return -1
+
+
+@njit(cache=True)
+def _suits(roads: Roads, car: NDArray, lane: int, barred: int, attempt: int) -> bool:
+    record = roads.lanes[lane]
+    if attempt < 3 and not (record.admits & car.admits):
+        return False
+    if attempt < 2 and lane == barred:
+        return False
+    return attempt >= 1 or record.turn != 3
+
+
+@njit(cache=True)
+def extend(roads: Roads, car: NDArray, path: Ints) -> None:
+    """Choose lanes until the way ahead is `HORIZON` long or fills the path."""
+    length = -car.s
+    for k in range(car.count):
+        length += roads.lanes[path[k]].length
+    while car.count < PATH and length < HORIZON:
+        following = choose_next(roads, car, path[car.count - 1], -1)
+        if following < 0:
+            return
+        path[car.count] = following
+        car.count += 1
+        length += roads.lanes[following].length
+
+
+@njit(cache=True)
+def advance(roads: Roads, car: NDArray, path: Ints, trail: Ints, metres: float) -> None:
+    """Move a vehicle along its path."""
+    car.s += metres
+    while car.s >= roads.lanes[path[0]].length and car.count > 1:
+        car.s -= roads.lanes[path[0]].length
+        for k in range(TRAIL - 1, 0, -1):
+            trail[k] = trail[k - 1]
+        trail[0] = path[0]
+        for k in range(car.count - 1):
+            path[k] = path[k + 1]
+        car.count -= 1
+        car.clear = max(0, car.clear - 1)
+        car.leaving = -1
+    if car.count == 1:
+        car.s = min(car.s, roads.lanes[path[0]].length)
+    extend(roads, car, path)
+
+
+@njit(cache=True)
+def sample_at(roads: Roads, lane: int, s: float) -> tuple[float, float, float, float]:
+    """(x, y, z, heading) of a lane's centre; straight on beyond its ends."""
+    record = roads.lanes[lane]
+    u = s / record.step
+    i = min(max(int(u), 0), record.count - 2)
+    t = u - i
+    a, b = roads.samples[record.first + i], roads.samples[record.first + i + 1]
+    return a.x + t * (b.x - a.x), a.y + t * (b.y - a.y), a.z + t * (b.z - a.z), a.heading + t * (b.heading - a.heading)
+
+
+@njit(cache=True)
+def speed_at(roads: Roads, lane: int, s: float) -> float:
+    """Permitted speed on a lane, m/s."""
+    record = roads.lanes[lane]
+    i = min(max(int(s / record.step + 0.5), 0), record.count - 1)
+    return roads.samples[record.first + i].speed
+
+
+@njit(cache=True)
+def _along(roads: Roads, car: NDArray, path: Ints, trail: Ints, s: float) -> tuple[float, float, float]:
+    """(x, y, z) on a vehicle's way at arc length `s` of its lane, which may lie on lanes ahead or behind."""
+    if s < 0.0:
+        for k in range(TRAIL):
+            if trail[k] < 0:
+                return sample_at(roads, path[0] if k == 0 else trail[k - 1], s)[:3]
+            s += roads.lanes[trail[k]].length
+            if s >= 0.0:
+                return sample_at(roads, trail[k], s)[:3]
+        return sample_at(roads, trail[TRAIL - 1], s)[:3]
+    k = 0
+    while s > roads.lanes[path[k]].length and k + 1 < car.count:
+        s -= roads.lanes[path[k]].length
+        k += 1
+    return sample_at(roads, path[k], s)[:3]
+
+
+@njit(cache=True)
+def place(roads: Roads, car: NDArray, path: Ints, trail: Ints) -> None:
+    """Pose of a vehicle: both axles on its way, moved sideways while it changes lanes."""
+    axle = 0.3 * car.length
+    fx, fy, fz = _along(roads, car, path, trail, car.s + axle)
+    rx, ry, rz = _along(roads, car, path, trail, car.s - axle)
+    car.heading = np.arctan2(fy - ry, fx - rx)
+    car.x, car.y, car.z = 0.5 * (fx + rx), 0.5 * (fy + ry), 0.5 * (fz + rz)
+    if car.offset != 0.0:
+        car.x -= car.offset * np.sin(car.heading)
+        car.y += car.offset * np.cos(car.heading)

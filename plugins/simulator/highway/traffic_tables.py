@@ -1,0 +1,211 @@
+"""What traffic needs to know of a town, worked out once per town and kept with it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from highway_env.vehicle.behavior import IDMVehicle
+from numpy.typing import NDArray
+
+from me3bev_plugins.simulator.highway.pedestrian_tables import Walks, build_walks
+from me3bev_plugins.simulator.highway.town import Floats, Ints, Town
+from me3bev_plugins.simulator.highway.traffic_conflicts import find_zones
+from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid
+from me3bev_plugins.simulator.highway.traffic_records import (
+    CROSS,
+    GO,
+    LANE,
+    LONG,
+    MEDIUM,
+    SAMPLE,
+    SMALL,
+    SPACING,
+    STOP,
+    YIELD,
+)
+
+LATERAL = 2.5
+"""Acceleration towards the inside that a driver accepts in a bend, m/s^2."""
+EASE = 2.0
+"""Deceleration towards a bend or a lower limit, m/s^2."""
+SLOWEST = 2.5
+"""No bend is taken more slowly, m/s."""
+_TURNS = {"straight": 0, "right": 1, "left": 2, "uturn": 3}
+_LENGTHS = {MEDIUM: 9.0, LONG: 12.0}
+
+
+class Roads(NamedTuple):
+    """The lanes of a town as records, and highway-env's IDM parameters."""
+
+    lanes: NDArray
+    """(L,) `LANE`"""
+    samples: NDArray
+    """(P,) `SAMPLE`"""
+    follow: Ints
+    """Successors of all lanes, in one row."""
+    zones: NDArray
+    """(Z,) `ZONE`"""
+    links: NDArray
+    """(K,) `LINK`"""
+    idm: Floats
+    """(5,) desired acceleration, comfortable deceleration (positive), time gap, jam gap between bumpers, exponent."""
+
+
+class Tables(NamedTuple):
+    """All that is fixed for a town."""
+
+    roads: Roads
+    grid: Grid
+    walks: Walks
+
+
+def idm_parameters() -> Floats:
+    """highway-env's IDM parameters; its jam distance is between the centres of vehicles of its own length."""
+    return np.array(
+        [
+            IDMVehicle.COMFORT_ACC_MAX,
+            -IDMVehicle.COMFORT_ACC_MIN,
+            IDMVehicle.TIME_WANTED,
+            IDMVehicle.DISTANCE_WANTED - IDMVehicle.LENGTH,
+            IDMVehicle.DELTA,
+            IDMVehicle.ACC_MAX,
+        ],
+        np.float64,
+    )
+
+
+@lru_cache(maxsize=16)
+def tables(town: Town) -> Tables:
+    """The tables of a town."""
+    lanes, samples = _sample(town)
+    follow = town.arrays.successor
+    _control(town, lanes)
+    _admit(town, lanes, samples)
+    grid = build_grid(samples)
+    zones = find_zones(town, lanes, samples, grid)
+    walks, links = build_walks(town, lanes, samples, grid)
+    _gates(town, lanes, zones)
+    _stop_lines(lanes, links, follow)
+    return Tables(Roads(lanes, samples, follow, zones, links, idm_parameters()), grid, walks)
+
+
+def _sample(town: Town) -> tuple[NDArray, NDArray]:
+    """Lane records and evenly spaced samples with the speed at which each may be passed."""
+    lanes = np.zeros(len(town.lanes), LANE)
+    pieces = []
+    first = 0
+    for lane, record in zip(town.lanes, lanes, strict=True):
+        count = max(2, int(np.ceil(lane.length / SPACING)) + 1)
+        s = np.linspace(0.0, lane.length, count)
+        piece = np.zeros(count, SAMPLE)
+        for name, column in (("x", 0), ("y", 1), ("z", 2)):
+            piece[name] = np.interp(s, lane.s, lane.points[:, column])
+        piece["heading"] = np.interp(s, lane.s, lane.heading)
+        piece["lane"] = lane.id
+        piece["speed"] = _speeds(s, piece["heading"], lane.limit)
+        record["length"], record["step"], record["limit"], record["width"] = (
+            lane.length,
+            lane.length / (count - 1),
+            lane.limit,
+            lane.width,
+        )
+        record["stop"], record["speed"], record["first"], record["count"] = lane.length, piece["speed"][0], first, count
+        pieces.append(piece)
+        first += count
+    arrays = town.arrays
+    for name in ("left", "right", "junction"):
+        lanes[name] = getattr(arrays, name)
+    lanes["follow0"], lanes["follow1"] = arrays.successor_start[:-1], arrays.successor_start[1:]
+    lanes["turn"] = [_TURNS[lane.turn] for lane in town.lanes]
+    return lanes, np.concatenate(pieces)
+
+
+def curvature(s: Floats, heading: Floats) -> Floats:
+    """Curvature (P,) along a lane, smoothed over 3 m so that a kink between samples is no hairpin, 1/m."""
+    reach = min(1.5, s[-1] / 2)
+    ahead, behind = np.minimum(s + reach, s[-1]), np.maximum(s - reach, 0.0)
+    bend: Floats = (np.interp(ahead, s, heading) - np.interp(behind, s, heading)) / np.maximum(ahead - behind, 1e-6)
+    return bend
+
+
+def _speeds(s: Floats, heading: Floats, limit: float) -> Floats:
+    """Permitted speed (P,): the limit, less in and before bends, m/s."""
+    bend = np.abs(curvature(s, heading))
+    speed = np.minimum(limit, np.maximum(SLOWEST, np.sqrt(LATERAL / np.maximum(bend, 1e-9))))
+    for i in range(len(s) - 2, -1, -1):
+        speed[i] = min(speed[i], np.sqrt(speed[i + 1] ** 2 + 2 * EASE * (s[i + 1] - s[i])))
+    return speed
+
+
+def _control(town: Town, lanes: NDArray) -> None:
+    """Signals and signs at the ends of lanes, and the rank of every connector in its junction."""
+    lanes["signal"] = -1
+    lanes["sign"] = GO
+    for signal in town.signals:
+        lanes["signal"][list(signal.lanes)] = signal.id
+    for junction in town.junctions:
+        kind = {"stop": STOP, "yield": YIELD}.get(junction.control)
+        minor = [i for i in junction.minor if lanes["signal"][i] < 0]
+        if kind is not None:
+            lanes["sign"][minor] = kind
+        for sign in town.signs:
+            if sign.lane in minor:
+                lanes["sign"][sign.lane] = STOP if sign.kind == "stop" else YIELD
+        for connector in junction.connectors:
+            gives_way = any(i in minor for i in town.lanes[connector].predecessors)
+            turns_across = town.lanes[connector].turn in ("left", "uturn")
+            lanes["rank"][connector] = 2 * gives_way + turns_across
+
+
+def _admit(town: Town, lanes: NDArray, samples: NDArray) -> None:
+    """Which sizes of vehicles may use a lane: wide enough in its bends, and with a way on that never ends."""
+    sharpest = np.zeros(len(lanes))
+    for i, lane in enumerate(lanes):
+        piece = samples[lane["first"] : lane["first"] + lane["count"]]
+        sharpest[i] = np.abs(curvature(np.linspace(0, lane["length"], lane["count"]), piece["heading"])).max()
+    endless = _endless(town, np.ones(len(lanes), np.bool_))
+    if not endless.any():
+        endless[:] = True  # A town without any loop: vehicles stop where the road does.
+    lanes["admits"] = np.where(endless, SMALL, 0)
+    for size, length in _LENGTHS.items():
+        # Half of the sagitta over its length: a vehicle with both axles on the line sweeps that much to either side.
+        sweep = length**2 * sharpest / 16 + 1.25
+        fits = _endless(town, endless & (sweep <= lanes["width"] / 2 + 0.2))
+        if (lanes["length"] * fits).sum() > 0.2 * lanes["length"].sum():
+            lanes["admits"] |= np.where(fits, size, 0)
+
+
+def _endless(town: Town, allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The allowed lanes from which one can go on over allowed lanes for ever."""
+    alive = allowed.copy()
+    doomed = [lane.id for lane in town.lanes if alive[lane.id] and not any(alive[n] for n in lane.successors)]
+    while doomed:
+        lost = doomed.pop()
+        if not alive[lost]:
+            continue
+        alive[lost] = False
+        doomed += [p for p in town.lanes[lost].predecessors if alive[p] and not any(alive[list(town.lanes[p].successors)])]
+    return alive
+
+
+def _gates(town: Town, lanes: NDArray, zones: NDArray) -> None:
+    """Connectors that may only be entered when granted: those that meet others, and those behind a signal or sign."""
+    for lane in town.lanes:
+        if lane.junction is None:
+            continue
+        first, last = lanes["zone0"][lane.id], lanes["zone1"][lane.id]
+        meets = ((zones["kind"][first:last] == CROSS) | (zones["split"][first:last] == 0)).any()
+        controlled = any(lanes["signal"][p] >= 0 or lanes["sign"][p] != GO for p in lane.predecessors)
+        lanes["gate"][lane.id] = int(meets or controlled)
+
+
+def _stop_lines(lanes: NDArray, links: NDArray, follow: Ints) -> None:
+    """Where a lane ends at a gate and pedestrians cross just before it, fronts halt before the crossing."""
+    for lane in lanes:
+        if not lanes["gate"][follow[lane["follow0"] : lane["follow1"]]].any():
+            continue
+        for link in links[lane["cross0"] : lane["cross1"]]:
+            if lane["length"] - 10.0 < link["s"]:
+                lane["stop"] = min(lane["stop"], max(link["s"] - 3.0, 0.5 * lane["length"]))
