@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from me3bev_plugins.simulator.highway.opendrive.control import place_signals, place_signs, settle_control
+from me3bev_plugins.simulator.highway.opendrive.crosswalks import find_crosswalks
 from me3bev_plugins.simulator.highway.opendrive.document import read_document
+from me3bev_plugins.simulator.highway.opendrive.footprint import Footprint, rectangle
 from me3bev_plugins.simulator.highway.opendrive.junctions import Crossing, find_crossings
 from me3bev_plugins.simulator.highway.opendrive.lanes import Network, build_network
 from me3bev_plugins.simulator.highway.opendrive.limits import assign_limits
+from me3bev_plugins.simulator.highway.opendrive.roadside import find_roadsides
+from me3bev_plugins.simulator.highway.opendrive.scenery import grow_scenery
 from me3bev_plugins.simulator.highway.opendrive.shapes import section_shapes
+from me3bev_plugins.simulator.highway.opendrive.sidewalks import find_sidewalks
 from me3bev_plugins.simulator.highway.opendrive.surfaces import find_surfaces
-from me3bev_plugins.simulator.highway.town import Junction, Lane, Town
+from me3bev_plugins.simulator.highway.town import Floats, Junction, Lane, Town
 
 __all__ = ["read_town"]
 
@@ -32,14 +39,44 @@ def read_town(source: Path | bytes, name: str) -> Town:
     assign_limits(document, network)
     crossings = find_crossings(network)
     kinds = settle_control(document, network, crossings)
+    lanes = _lanes(network, crossings)
+    surfaces = find_surfaces(shapes, network, crossings)
+    signals, signs = place_signals(network, crossings), place_signs(network, crossings, kinds)
+    crosswalks = find_crosswalks(document, shapes, network, crossings)
+    ground = Footprint(*_extent(lanes))
+    ground.add_lanes(lanes)
+    ground.add_polygons(surfaces)
+    sidewalks = find_sidewalks(shapes, network, ground)
+    for walk in sidewalks:
+        ground.add_line(walk.points, walk.width)
+    ground.add_polygons(crosswalk.corners for crosswalk in crosswalks)
+    for post in (*signals, *signs):
+        ground.add_polygons([rectangle(np.array(post.position[:2]), (2.0, 2.0), 0.0)])
+    buildings, props = grow_scenery(name, find_roadsides(document, shapes), ground)
     return Town(
         name=name,
-        lanes=_lanes(network, crossings),
+        lanes=lanes,
         junctions=_junctions(crossings),
-        signals=place_signals(network, crossings),
-        signs=place_signs(network, crossings, kinds),
-        surfaces=find_surfaces(shapes, network, crossings),
+        signals=signals,
+        signs=signs,
+        crosswalks=crosswalks,
+        sidewalks=sidewalks,
+        buildings=buildings,
+        props=props,
+        description=_description(lanes, crossings),
+        surfaces=surfaces,
     )
+
+
+def _extent(lanes: tuple[Lane, ...]) -> tuple[Floats, Floats]:
+    points = np.concatenate([lane.points[:, :2] for lane in lanes])
+    return points.min(0), points.max(0)
+
+
+def _description(lanes: tuple[Lane, ...], crossings: list[Crossing]) -> str:
+    metres = sum(lane.length for lane in lanes)
+    lit = sum(crossing.control == "signal" for crossing in crossings)
+    return f"{metres / 1000:.1f} km of lanes, {len(crossings)} junctions, {lit} with traffic lights"
 
 
 def _lanes(network: Network, crossings: list[Crossing]) -> tuple[Lane, ...]:

@@ -139,3 +139,8 @@ class Document:
     name: str
     roads: dict[str, Road] = field(default_factory=dict)
     junctions: dict[str, JunctionRecord] = field(default_factory=dict)
+
+
+def is_driven(road: Road) -> bool:
+    """Whether a road has any driving lane; exports hold roads of grass and kerbs too."""
+    return any(lane.type in DRIVING for section in road.sections for lane in section.lanes.values())

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
 from me3bev_plugins.simulator.highway.opendrive.blocks import Shapes
 from me3bev_plugins.simulator.highway.opendrive.junctions import Arm, Crossing, outward
 from me3bev_plugins.simulator.highway.opendrive.lanes import Draft, Network
-from me3bev_plugins.simulator.highway.opendrive.records import DRIVING, PAVED
+from me3bev_plugins.simulator.highway.opendrive.records import DRIVING, PAVED, is_driven
 from me3bev_plugins.simulator.highway.opendrive.shapes import Key, SectionShape
 from me3bev_plugins.simulator.highway.town import Floats
 
@@ -29,6 +30,8 @@ def find_surfaces(shapes: Shapes, network: Network, crossings: list[Crossing]) -
     """Polygons (P, 2), each convex, counter-clockwise or clockwise."""
     found: list[Floats] = []
     for shape in shapes.values():
+        if not is_driven(shape.road):
+            continue
         found.extend(_strips(shape, network))
     for crossing in crossings:
         found.extend(_floor(network, crossing))
@@ -66,7 +69,7 @@ def _strips(shape: SectionShape, network: Network) -> Iterator[Floats]:
         left = shape.edges[leftmost] if leftmost > 0 else shape.inner(leftmost)
         right = shape.edges[rightmost] if rightmost < 0 else shape.inner(rightmost)
         a, b = shape.line(left)[:, :2], shape.line(right)[:, :2]
-        for first, last in zip(cuts[:-1], cuts[1:], strict=True):
+        for first, last in pairwise(cuts):
             if max(left[first] - right[first], left[last] - right[last]) > THINNEST:
                 yield np.array([a[first], a[last], b[last], b[first]])
 
