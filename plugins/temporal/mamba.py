@@ -1,0 +1,167 @@
+"""Mamba, the paper's temporal module: a selective state space (Section III-D, eqs. 11-13)."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from pydantic import Field, PositiveInt
+from torch import Tensor, nn
+
+from me3bev_cli.api import PluginConfig
+from me3bev_plugins.temporal.scan import scan_step, selective_scan
+
+Memory = dict[str, Tensor]
+
+
+class Mamba(nn.Module):
+    """One Mamba block over vectors of `width` numbers.
+
+    The state transition A-bar = exp(delta A), the input matrix B-bar = delta B and the observation matrix C
+    are functions of the input (eq. 13); h_t = A-bar h_{t-1} + B-bar x_t (eq. 11); y_t = C h_t + D x_t (eq. 12).
+    A causal depthwise convolution stands before the recurrence and a SiLU gate behind it. Parameters carry
+    the names and shapes usual for Mamba blocks (in_proj, conv1d, x_proj, dt_proj, A_log, D, out_proj), so
+    weights can be exchanged; `norm` and the residual lie around the block.
+
+    State: `conv` (B, d_conv - 1, E), the last inputs of the convolution, and `ssm` (B, N, E), h.
+    """
+
+    class Config(PluginConfig):
+        """Settings of the Mamba block."""
+
+        expand: PositiveInt = Field(default=2, description="inner width E over outer width D")
+        d_state: PositiveInt = Field(default=16, description="numbers of state per inner channel, N")
+        d_conv: PositiveInt = Field(default=4, description="frames that the causal convolution spans")
+        dt_rank: PositiveInt | Literal["auto"] = Field(
+            default="auto", description="rank of the step size's projection; auto: width / 16, rounded up"
+        )
+        dt_min: float = Field(default=0.001, gt=0, description="smallest step size at the start of training")
+        dt_max: float = Field(default=0.1, gt=0, description="largest step size at the start of training")
+        residual: bool = Field(default=True, description="add the input to the output")
+        norm: bool = Field(default=True, description="RMS-normalise the input")
+
+    def __init__(self, config: Config, width: int) -> None:
+        super().__init__()
+        self.check(config, width)
+        self.config, self.width = config, width
+        inner, states = config.expand * width, config.d_state
+        self.inner = inner
+        self.rank = math.ceil(width / 16) if config.dt_rank == "auto" else config.dt_rank
+        self.norm = nn.RMSNorm(width, eps=1e-5) if config.norm else nn.Identity()
+        self.in_proj = nn.Linear(width, 2 * inner, bias=False)
+        self.conv1d = _Kernel(inner, config.d_conv)
+        self.x_proj = nn.Linear(inner, self.rank + 2 * states, bias=False)
+        self.dt_proj = nn.Linear(self.rank, inner)
+        self.A_log = nn.Parameter(torch.arange(1, states + 1, dtype=torch.float32).log().repeat(inner, 1))
+        self.D = nn.Parameter(torch.ones(inner))
+        self.out_proj = nn.Linear(inner, width, bias=False)
+        self._initialise_step_size()
+
+    @classmethod
+    def check(cls, config: Config, width: int) -> None:
+        """Any positive width fits.
+
+        Raises:
+            ValueError: for an empty range of step sizes or a width below 1.
+        """
+        if width < 1:
+            raise ValueError(f"width must be positive, not {width}")
+        if config.dt_min > config.dt_max:
+            raise ValueError(f"dt_min {config.dt_min} exceeds dt_max {config.dt_max}")
+
+    def _initialise_step_size(self) -> None:
+        """Draw the bias so that softplus(bias) is log-uniform between dt_min and dt_max."""
+        low, high = math.log(self.config.dt_min), math.log(self.config.dt_max)
+        bound = self.rank**-0.5
+        with torch.no_grad():
+            self.dt_proj.weight.uniform_(-bound, bound)
+            step = torch.empty(self.inner).uniform_(low, high).exp_()
+            self.dt_proj.bias.copy_(step + torch.log(-torch.expm1(-step)))
+
+    def initial_state(self, batch: int) -> Memory:
+        """Zeros: {"conv": (B, d_conv - 1, E), "ssm": (B, N, E)}."""
+        like = self.D
+        return {
+            "conv": like.new_zeros(batch, self.config.d_conv - 1, self.inner),
+            "ssm": like.new_zeros(batch, self.config.d_state, self.inner),
+        }
+
+    def forward(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
+        """x (B, T, D), starts (B, T) bool -> y (B, T, D) and the state after the last frame."""
+        if x.shape[1] == 1 and not torch.is_grad_enabled():
+            y, state = self._step(self.norm(x[:, 0]), state, starts[:, 0])
+            y = y.unsqueeze(1)
+        else:
+            y, state = self._sequence(self.norm(x), state, starts)
+        return (x + y if self.config.residual else y), state
+
+    def _sequence(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
+        inner, gate = self.in_proj(x).chunk(2, dim=-1)
+        inner, conv = _causal_conv(inner, state["conv"], starts, self.conv1d.weight, self.conv1d.bias)
+        inner = F.silu(inner)
+        step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
+        delta = F.softplus(self.dt_proj(step))
+        A = -torch.exp(self.A_log.T)
+        with torch.autocast(x.device.type, enabled=False):
+            dtype = self.A_log.dtype
+            y, ssm = selective_scan(inner.to(dtype), delta.to(dtype), A, B.to(dtype), C.to(dtype), state["ssm"], starts)
+        y = (y + self.D * inner) * F.silu(gate)
+        return self.out_proj(y), {"conv": conv, "ssm": ssm}
+
+    def _step(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
+        """One frame without gradients, x (B, D): the same arithmetic in as few operations as possible."""
+        inner, gate = self.in_proj(x).chunk(2, dim=-1)
+        past = state["conv"].masked_fill(starts[:, None, None], 0.0)
+        taps = torch.cat([past, inner.to(past.dtype).unsqueeze(1)], dim=1)
+        kernel = self.conv1d.weight[:, 0].T
+        inner = F.silu((taps * kernel).sum(1) + self.conv1d.bias)
+        step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
+        delta = F.softplus(self.dt_proj(step))
+        A = self.A_log.T.exp().neg_()
+        with torch.autocast(x.device.type, enabled=False):
+            dtype = A.dtype
+            y, ssm = scan_step(inner.to(dtype), delta.to(dtype), A, B.to(dtype), C.to(dtype), state["ssm"], starts)
+        y = torch.addcmul(y, self.D, inner).mul_(F.silu(gate))
+        return self.out_proj(y), {"conv": taps[:, 1:], "ssm": ssm}
+
+
+class _Kernel(nn.Module):
+    """The taps and biases of a depthwise convolution, named and shaped as torch's Conv1d has them."""
+
+    def __init__(self, channels: int, taps: int) -> None:
+        super().__init__()
+        bound = taps**-0.5
+        self.weight = nn.Parameter(torch.empty(channels, 1, taps).uniform_(-bound, bound))
+        self.bias = nn.Parameter(torch.empty(channels).uniform_(-bound, bound))
+
+
+def _causal_conv(x: Tensor, past: Tensor, starts: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor]:
+    """Depthwise convolution over time that sees neither later frames nor those before an episode's start.
+
+    Args:
+        x: (B, T, E).
+        past: (B, K - 1, E), the frames before.
+        starts: (B, T) bool.
+        weight: (E, 1, K), the last tap for the present frame.
+
+    Returns:
+        (B, T, E) and the new past (B, K - 1, E), zero where it belongs to an earlier episode.
+    """
+    taps, frames = weight.shape[-1], x.shape[1]
+    episode = starts.cumsum(1)
+    episode = torch.cat([episode.new_zeros(len(x), taps - 1), episode], dim=1)
+    line = torch.cat([past.to(x.dtype), x], dim=1)
+    y = torch.addcmul(bias, line[:, taps - 1 :], weight[:, 0, -1])
+    for tap in range(taps - 1):
+        same = episode[:, tap : tap + frames] == episode[:, taps - 1 :]
+        y = torch.addcmul(y, line[:, tap : tap + frames] * same.unsqueeze(-1), weight[:, 0, tap])
+    return y, _tail(line, episode, taps - 1)
+
+
+def _tail(line: Tensor, episode: Tensor, length: int) -> Tensor:
+    """The last `length` frames of `line` that belong to the episode of the last one; zeros for the rest."""
+    first = line.shape[1] - length
+    same = episode[:, first:] == episode[:, -1:]
+    return line[:, first:] * same.unsqueeze(-1)
