@@ -186,6 +186,10 @@ def _describe(detail: ErrorDetails, path: Path, model: type[BaseModel], data: An
     if kind in _BOUNDS:
         key, text = _BOUNDS[kind]
         return Fault(path, f"{_shown(value)} is out of range", text.format(context[key]))
+    if kind == "too_short":
+        return Fault(path, f"needs at least {context['min_length']}, has {context['actual_length']}")
+    if kind == "string_pattern_mismatch":
+        return Fault(path, f"{_shown(value)} is not of the right form", f"what matches {context['pattern']}")
     if kind == "value_error":
         return Fault(path, str(context["error"]))
     return Fault(path, f"{detail['msg'][:1].lower()}{detail['msg'][1:]}, got {_shown(value)}")

@@ -64,10 +64,15 @@ def dotted(path: Path) -> str:
 
 INT, FLOAT, BOOL, NULL, STR = (f"tag:yaml.org,2002:{name}" for name in ("int", "float", "bool", "null", "str"))
 
+_POWER = r"[eE][-+]?[0-9]+"
 _SCALARS = (
     (BOOL, re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), "tTfF"),
     (INT, re.compile(r"^[-+]?(?:0|[1-9][0-9_]*)$"), "-+0123456789"),
-    (FLOAT, re.compile(r"^[-+]?(?:[0-9][0-9_]*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?$"), "-+.0123456789"),
+    (
+        FLOAT,
+        re.compile(rf"^[-+]?(?:[0-9][0-9_]*(?:\.[0-9]*)?{_POWER}|[0-9][0-9_]*\.[0-9]*|\.[0-9]+(?:{_POWER})?)$"),
+        "-+.0123456789",
+    ),
     (NULL, re.compile(r"^(?:~|null|Null|NULL|)$"), ["~", "n", "N", ""]),
 )
 

@@ -88,7 +88,7 @@ def _load(kind: str, name: str) -> type[Any]:
             f"{kind} plugin '{name}' of {distribution(entry)} does not import: {_reason(error)}",
             hint="`me3bev plugins` lists what works",
         ) from error
-    problem = _contract_problem(plugin)
+    problem = _contract_problem(kind, plugin)
     if problem:
         raise PluginError(f"{kind} plugin '{name}' of {distribution(entry)}: {entry.value} {problem}")
     return plugin
@@ -98,13 +98,18 @@ def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".strip().splitlines()[0]
 
 
-def _contract_problem(plugin: Any) -> str:
+RESERVED = {"simulator": ("name", "map", "density")}
+"""Keys of a recipe's plugin block that are not the plugin's; `name` for the other kinds."""
+
+
+def _contract_problem(kind: str, plugin: Any) -> str:
     if not isinstance(plugin, type):
         return "is not a class"
     config = getattr(plugin, "Config", None)
     if not (isinstance(config, type) and issubclass(config, PluginConfig)):
         return "has no Config derived from me3bev_cli.api.PluginConfig"
-    return ""
+    taken = [key for key in RESERVED.get(kind, ("name",)) if key in config.model_fields]
+    return f"has a Config with the key '{taken[0]}', which recipes use themselves" if taken else ""
 
 
 def config_class(kind: str, name: str) -> type[PluginConfig]:
