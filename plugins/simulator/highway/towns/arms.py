@@ -12,6 +12,8 @@ CROSSWALK = (0.9, 3.9)
 """A crosswalk lies between these distances past the end of the road, metres."""
 ROOM_FOR_CROSSWALK = 4.5
 SHORTEST_ROAD = 4.0
+STUB = 12.0
+"""Metres; a street may run on past its last node by less than this."""
 
 
 @dataclass
@@ -68,9 +70,9 @@ def arms_at(layout: Layout, node: Node) -> list[Arm]:
         for station in path.near(point, node.reach):
             for away in (1, -1):
                 ahead = math.inf if path.closed else (path.length - station if away > 0 else station)
-                if ahead > floor + SHORTEST_ROAD:
+                if ahead > STUB:
                     arms.append(Arm(street, station, away, floor))
-    missing = set(node.streets) - {arm.street.name for arm in arms}
+    missing = {*node.streets, *(node.cross or ())} - {arm.street.name for arm in arms}
     if missing or not arms:
         raise ValueError(f"node {node.name}: no street {sorted(missing) or 'at all'} within {node.reach} m of {point}")
     return sorted(arms, key=lambda arm: direction(arm, point))
