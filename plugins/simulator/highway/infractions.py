@@ -13,8 +13,8 @@ from me3bev_plugins.simulator.highway.town import Floats, Town
 
 VERGE = 0.5
 """Metres beyond a lane's edge that still count as the road."""
-BEFORE_LINE = 4.0
-"""A stop counts within this many metres before a stop line."""
+BEFORE_LINE = 8.0
+"""A stop counts within this many metres before a lane's end: the painted line may lie before a crossing there."""
 STANDING = 0.5
 """Slower than this is a stop, m/s."""
 LEVEL = 2.5

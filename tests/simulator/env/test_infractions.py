@@ -43,8 +43,8 @@ def test_the_line_counts_on_its_own_lane_and_in_its_direction_only(town: Town) -
     assert beside == against == before == [NONE]
 
 
-@pytest.mark.parametrize(("speed", "y", "run"), [(0.4, 107.0, False), (0.6, 107.0, True), (0.4, 105.0, True)])
-def test_a_stop_sign_wants_a_stop_within_four_metres(town: Town, speed: float, y: float, run: bool) -> None:
+@pytest.mark.parametrize(("speed", "y", "run"), [(0.4, 103.0, False), (0.6, 103.0, True), (0.4, 101.0, True)])
+def test_a_stop_sign_wants_a_stop_shortly_before(town: Town, speed: float, y: float, run: bool) -> None:
     north = math.pi / 2
     poses = [(70, 100.0, north, 5), (70, y, north, speed), (70, 109.5, north, 5), (70, 110.5, north, 5)]
     assert drive(town, poses, Light.GREEN)[-1] == Infractions(False, run)
