@@ -52,11 +52,19 @@ def join_through_short(links: Links, shapes: Shapes) -> Links:
     return links
 
 
-def branch_tapers(links: Links, shapes: Shapes) -> Links:
+Tapers = frozenset[tuple[Key, int]]
+"""(piece, 0 for its start or -1 for its end) of the ends that were led into a neighbour."""
+
+
+def branch_tapers(links: Links, shapes: Shapes) -> tuple[Links, Tapers]:
     """A lane that opens beside another branches from what leads to it; one that closes merges into what follows it.
 
     Without this a pocket that widens from nothing could be reached by a change of lane only.
+
+    Returns:
+        The links, and the ends that now lie beside their joint rather than at it.
     """
+    tapers: set[tuple[Key, int]] = set()
     links = {key: list(targets) for key, targets in links.items()}
     before = predecessors(links)
     for key in list(links):
@@ -68,11 +76,13 @@ def branch_tapers(links: Links, shapes: Shapes) -> Links:
             for source in next((before[n] for n in beside if before[n]), []):
                 links[source].append(key)
                 before[key].append(source)
+                tapers.add((key, 0))
         if not links[key] and last < CLOSED:
             for target in next((links[n] for n in beside if links[n]), []):
                 links[key].append(target)
                 before[target].append(key)
-    return links
+                tapers.add((key, -1))
+    return links, frozenset(tapers)
 
 
 def find_blocks(document: Document, links: Links, cuts: frozenset[tuple[str, int, int]] = frozenset()) -> list[Block]:

@@ -111,7 +111,7 @@ def _incoming(network: Network, entrance: dict[int, Crossing], road: Road, recor
 def _busy(network: Network, crossing: Crossing) -> bool:
     """Whether a junction of a town without any signals would have them: four arms, or three with several lanes."""
     lanes = network.lanes
-    motorway = all(lanes[n].highway for n in crossing.incoming)
+    motorway = any(lanes[n].highway for n in crossing.incoming)
     crosses = any(lanes[n].turn == "left" for n in crossing.connectors)
     several = any(len(arm.incoming) > 1 for arm in crossing.arms)
     return not motorway and crosses and (len(crossing.arms) >= 4 or (len(crossing.arms) == 3 and several))

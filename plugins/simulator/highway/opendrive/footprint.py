@@ -57,6 +57,13 @@ class Footprint:
         free = self.taken[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)] == 0
         return np.asarray(inside & free, np.bool_)
 
+    def islands(self, area: float) -> NDArray[np.bool_]:
+        """Cells of free patches under an area in square metres: medians, the middles of roundabouts."""
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(1 - self.taken, connectivity=4)
+        small = stats[:, cv2.CC_STAT_AREA] * self.cell**2 < area
+        small[0] = False  # What is taken.
+        return np.asarray(small[labels], np.bool_)
+
     def clearance(self) -> NDArray[np.float32]:
         """Metres from each cell to the nearest taken one."""
         distance = cv2.distanceTransform(1 - self.taken, cv2.DIST_L2, 3)

@@ -10,16 +10,21 @@ from me3bev_plugins.simulator.highway.town import Floats
 
 EASE = 2.0
 """Metres over which the smallest gap is spread."""
+KINK = np.radians(1.0)
+SMOOTHINGS = 60
 STRETCH = 18.0
 """Metres over which a gap of one metre is spread, so that no lane kinks."""
 
 
-def share_joints(points: list[Floats], successors: Sequence[Sequence[int]]) -> list[Floats]:
+def share_joints(
+    points: list[Floats], successors: Sequence[Sequence[int]], loose: Sequence[tuple[bool, bool]]
+) -> list[Floats]:
     """Lane points moved so that joined ends are the same point, bit for bit.
 
     Args:
         points: (P, 3) of each lane in driving direction.
         successors: lanes that follow each lane.
+        loose: whether each lane's start and end come to a joint without having a say in where it is.
     """
     count = len(points)
     parent = list(range(2 * count))  # Start of lane i is 2 i, its end 2 i + 1.
@@ -35,10 +40,26 @@ def share_joints(points: list[Floats], successors: Sequence[Sequence[int]]) -> l
             parent[find(2 * lane + 1)] = find(2 * target)
     ends = np.array([p[i] for p in points for i in (0, -1)]).reshape(-1, 3)
     roots = np.array([find(node) for node in range(2 * count)], dtype=np.int64)
+    say = np.where(np.array(loose).ravel(), 1e-12, 1.0)  # Only loose ends at a joint: their mean after all.
     total = np.zeros((2 * count, 3))
-    np.add.at(total, roots, ends)
-    shared = total / np.maximum(np.bincount(roots, minlength=2 * count), 1)[:, None]
+    np.add.at(total, roots, say[:, None] * ends)
+    shared = total / np.maximum(np.bincount(roots, say, minlength=2 * count), 1e-12)[:, None]
     return [_move_ends(p, shared[roots[2 * i]], shared[roots[2 * i + 1]]) for i, p in enumerate(points)]
+
+
+def smooth(points: Floats) -> Floats:
+    """Points (P, 3) with kinks ironed out: files hold some, where two curves do not quite meet."""
+    points = points.copy()
+    for _ in range(SMOOTHINGS):
+        steps = np.diff(points[:, :2], axis=0)
+        turn = steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
+        kinks = np.abs(np.arctan2(turn, (steps[:-1] * steps[1:]).sum(1))) > KINK
+        if not kinks.any():
+            break
+        near = np.convolve(kinks, np.ones(5), "same") > 0 if len(kinks) >= 5 else np.ones_like(kinks)
+        relaxed = (points[:-2] + 2 * points[1:-1] + points[2:]) / 4
+        points[1:-1] = np.where(near[:, None], relaxed, points[1:-1])
+    return points
 
 
 def _move_ends(points: Floats, first: Floats, last: Floats) -> Floats:

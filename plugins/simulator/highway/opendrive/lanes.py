@@ -16,7 +16,7 @@ from me3bev_plugins.simulator.highway.opendrive.blocks import (
     join_through_short,
 )
 from me3bev_plugins.simulator.highway.opendrive.graph import lane_links
-from me3bev_plugins.simulator.highway.opendrive.joints import share_joints, strongest_component
+from me3bev_plugins.simulator.highway.opendrive.joints import share_joints, smooth, strongest_component
 from me3bev_plugins.simulator.highway.opendrive.records import Document
 from me3bev_plugins.simulator.highway.opendrive.shapes import Key
 from me3bev_plugins.simulator.highway.town import Floats, Marking, Turn
@@ -94,7 +94,7 @@ def build_network(document: Document, shapes: Shapes, cuts: frozenset[tuple[str,
         MapError: no driving lane leads anywhere.
     """
     every = lane_links(document)
-    links = branch_tapers(join_through_short(every, shapes), shapes)
+    links, tapers = branch_tapers(join_through_short(every, shapes), shapes)
     drafts: list[Draft] = []
     for block in find_blocks(document, links, cuts):
         drafts.extend(_drafts(document, shapes, block, len(drafts)))
@@ -110,9 +110,9 @@ def build_network(document: Document, shapes: Shapes, cuts: frozenset[tuple[str,
             hint="Link its roads into at least one closed course",
         )
     _renumber(kept, [int(n) for n in np.cumsum(keep) - 1], keep)
-    for draft, points in zip(
-        kept, share_joints([draft.points for draft in kept], [draft.successors for draft in kept]), strict=True
-    ):
+    loose = [((draft.keys[0], 0) in tapers, (draft.keys[-1], -1) in tapers) for draft in kept]
+    joined = share_joints([smooth(draft.points) for draft in kept], [draft.successors for draft in kept], loose)
+    for draft, points in zip(kept, joined, strict=True):
         draft.points = points
     of = {key: index for index, draft in enumerate(kept) for key in draft.keys}
     return Network(kept, of, frozenset(key for key in every if key not in of))

@@ -25,6 +25,8 @@ COLOURS = (
 )
 """Render, brick, stone, glass."""
 STYLES = 4
+ISLAND = 1500.0
+"""Square metres; nobody builds on a smaller patch between lanes."""
 CLEAR = 1.0
 """Metres kept free around a building."""
 
@@ -40,12 +42,15 @@ def grow_scenery(
     """
     sides = list(roadsides)
     rng = np.random.default_rng(derive_seed("scenery", name))
+    islands = ground.islands(ISLAND)
+    ground.taken[islands] = 1
     buildings: list[Building] = []
     for side in sides:
         if side.urban:
             buildings += _row(side, rng, ground)
         elif not side.highway:
             buildings += _scattered(side, rng, ground)
+    ground.taken[islands] = 0
     room = ground.clearance()
     props: list[Prop] = []
     for side in sides:
@@ -125,11 +130,11 @@ def _along(side: Roadside, at: Floats, out: Floats) -> Floats:
 
 def _trees(side: Roadside, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Places (P, 2) and crown radii (P,)."""
-    nearest, furthest, spacing = (2.2, 4.0, 14.0) if side.urban else (7.0, 22.0, 16.0) if side.highway else (3, 12, 9.0)
+    nearest, furthest, spacing = (1.9, 4.0, 6.0) if side.urban else (7.0, 22.0, 16.0) if side.highway else (3, 12, 9.0)
     at = np.arange(float(rng.uniform(0.0, spacing)), side.length, spacing)
     at = at + rng.uniform(-0.3, 0.3, len(at)) * spacing
     at = np.clip(at[rng.random(len(at)) < 0.75], 0.0, None)
-    crowns = rng.uniform(1.2, 1.9 if side.urban else 2.8, len(at))
+    crowns = rng.uniform(0.9, 1.7, len(at)) if side.urban else rng.uniform(1.2, 2.8, len(at))
     return _along(side, at, rng.uniform(nearest, furthest, len(at))), crowns
 
 

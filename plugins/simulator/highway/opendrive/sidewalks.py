@@ -58,15 +58,16 @@ def has_sidewalk(shape: SectionShape, sign: int) -> bool:
 
 
 def _pieces(shape: SectionShape, shapes: Shapes, network: Network) -> Iterator[_Piece]:
+    road = shape.road
+    if (road.limit(shape.section.start) or 0.0) > HIGHWAY:
+        return  # Nobody walks along a motorway.
     for lane in shape.section.lanes.values():
         if lane.id != 0 and lane.type in WALKING and shape.section.length > 0.05:
             width = float(shape.width(lane.id).mean())
             if width >= NARROWEST:
                 yield _Piece(_thin(shape.centre(lane.id)[:, :2]), width, True)
-    road = shape.road
-    nominal = road.limit(shape.section.start)
     every = (shapes[road.id, index] for index in range(len(road.sections)))
-    if road.junction or (nominal or 0.0) > HIGHWAY or any(has_sidewalk(s, side) for s in every for side in (1, -1)):
+    if road.junction or any(has_sidewalk(s, side) for s in every for side in (1, -1)):
         return
     for sign in (1, -1):
         if any((road.id, shape.index, lane.id) in network.of for lane in shape.section.side(sign)):

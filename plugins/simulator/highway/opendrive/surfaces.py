@@ -34,7 +34,7 @@ def find_surfaces(shapes: Shapes, network: Network, crossings: list[Crossing]) -
             continue
         found.extend(_strips(shape, network))
     for crossing in crossings:
-        found.extend(_floor(network, crossing))
+        found.extend(_floor(shapes, network, crossing))
     return tuple(found)
 
 
@@ -132,23 +132,60 @@ def _outness(network: Network, arm: Arm, connector: int) -> float:
     )
 
 
-def _floor(network: Network, crossing: Crossing) -> Iterator[Floats]:
+def _floor(shapes: Shapes, network: Network, crossing: Crossing) -> Iterator[Floats]:
     """Triangles from a junction's middle to its kerb."""
+    lanes = network.lanes
     kerb: list[Floats] = []
     for arm, connector in rim(network, crossing):
-        for n in arm.outgoing:
-            kerb.append(edge(network.lanes[n], -1)[:1])
+        if arm.outgoing:
+            kerb.append(_verge_point(shapes, lanes, arm.outgoing, 0))
         if connector is not None:
-            kerb.append(_coarse(edge(network.lanes[connector], -1)))
-        else:
-            kerb.extend(edge(network.lanes[n], -1)[-1:] for n in arm.incoming)
+            first = max((_spare(shapes, lanes[n], -1) for n in lanes[connector].predecessors), default=0.0)
+            last = max((_spare(shapes, lanes[n], 0) for n in lanes[connector].successors), default=0.0)
+            kerb.append(_coarse(_kerb(lanes[connector], first, last)))
+        elif arm.incoming:
+            kerb.append(_verge_point(shapes, lanes, arm.incoming, -1))
     points = np.concatenate(kerb)
     middle = np.array(crossing.centre)
     if len(points) < 3 or float(np.hypot(*(points - middle).T).max()) > WIDEST_FLOOR:
         return
-    for first, last in zip(points, np.roll(points, -1, axis=0), strict=True):
-        if np.hypot(*(last - first)) > THINNEST:
-            yield np.array([middle, first, last])
+    for first_point, last_point in zip(points, np.roll(points, -1, axis=0), strict=True):
+        if np.hypot(*(last_point - first_point)) > THINNEST:
+            yield np.array([middle, first_point, last_point])
+
+
+def _verge_point(shapes: Shapes, lanes: list[Draft], side: tuple[int, ...], end: int) -> Floats:
+    """(1, 2) the outer edge of asphalt where an arm's lanes start (0) or end (-1)."""
+    outer = min(side, key=lambda n: _spare(shapes, lanes[n], end))
+    lane = lanes[outer]
+    return edge(lane, -1 - 2 * _spare(shapes, lane, end) / lane.width)[[end]]
+
+
+def _spare(shapes: Shapes, lane: Draft, end: int) -> float:
+    """Metres of asphalt to the right of a lane at its start (0) or end (-1): shoulder, parking."""
+    road, index, number = lane.keys[end]
+    shape = shapes[road, index]
+    at = end if number < 0 else -1 - end
+    side = [n for n in paved_lanes(shape) if n * number > 0]
+    return float(abs(shape.edges[max(side, key=abs)][at] - shape.edges[number][at])) if side else 0.0
+
+
+def _kerb(lane: Draft, first: float, last: float) -> Floats:
+    """(P, 2) the right edge of a connector, out by `first` metres at its start and `last` at its end.
+
+    In a tight bend to the right it stays where it does not fold.
+    """
+    points = lane.points[:, :2]
+    steps = np.diff(points, axis=0)
+    length = np.hypot(*steps.T)
+    s = np.concatenate([[0.0], np.cumsum(length)])
+    turned = float(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))[[0, -1]] @ (1.0, -1.0))
+    room = 0.7 * s[-1] / turned if turned > 0.2 else np.inf
+    out = lane.width / 2 + first + (last - first) * s / max(s[-1], 1e-9)
+    out = np.minimum(out, max(room, lane.width / 2))
+    tangent = np.gradient(points, axis=0)
+    tangent /= np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
+    return points + out[:, None] * np.column_stack([tangent[:, 1], -tangent[:, 0]])
 
 
 def _coarse(points: Floats) -> Floats:
