@@ -1,0 +1,53 @@
+"""The residual trunk on the bird's-eye grid: a feature map and a small grid of tokens (h_BEV, eq. 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from me3bev_plugins.spatial.blocks import Residual, conv
+
+
+class BEVTrunk(nn.Module):
+    """Strided early, since the grid has more cells than the images have feature cells.
+
+    Args:
+        inputs: channels of the grid.
+        channels: widths at 1/2, 1/4 and 1/8 of the grid's resolution; the first is that of the feature map.
+        blocks: residual blocks at 1/4 and 1/8, each.
+        tokens: (rows, columns, width) of the token grid.
+    """
+
+    def __init__(self, inputs: int, channels: Sequence[int], blocks: int, tokens: tuple[int, int, int]) -> None:
+        super().__init__()
+        half, quarter, eighth = channels
+        self.stem = conv(inputs, half, 3, 2)
+        self.quarter = _stage(half, quarter, blocks)
+        self.eighth = _stage(quarter, eighth, blocks)
+        self.rows, self.columns, width = tokens
+        self.token = nn.Conv2d(quarter + eighth, width, 1)
+        self.down_quarter = nn.Conv2d(quarter, half, 1)
+        self.down_eighth = nn.Conv2d(eighth, half, 1, bias=False)
+
+    def forward(self, grid: Tensor) -> tuple[Tensor, Tensor]:
+        """Grid (N, inputs, X, Y) -> tokens (N, K, D) and the feature map (N, channels[0], X / 2, Y / 2)."""
+        half = cast(Tensor, self.stem(grid))
+        quarter = cast(Tensor, self.quarter(half))
+        eighth = cast(Tensor, self.eighth(quarter))
+        size = (self.rows, self.columns)
+        pooled = torch.cat([F.adaptive_avg_pool2d(level, size) for level in (quarter, eighth)], dim=1)
+        tokens = cast(Tensor, self.token(pooled)).flatten(2).transpose(1, 2)
+        above = _grown(self.down_eighth(eighth), quarter) + cast(Tensor, self.down_quarter(quarter))
+        return tokens.contiguous(), half + _grown(above, half)
+
+
+def _stage(inputs: int, outputs: int, blocks: int) -> nn.Sequential:
+    return nn.Sequential(Residual(inputs, outputs, 2), *(Residual(outputs, outputs) for _ in range(blocks - 1)))
+
+
+def _grown(x: Tensor, like: Tensor) -> Tensor:
+    return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)

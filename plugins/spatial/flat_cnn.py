@@ -1,0 +1,45 @@
+"""A plain image network over the cameras, without geometry: the baseline's view (Section IV)."""
+
+from __future__ import annotations
+
+from pydantic import Field, PositiveInt
+from torch import Tensor, nn
+
+from me3bev_cli.api import PluginConfig, Rig, SpatialOutput, TokenSpec
+from me3bev_plugins.spatial.trunks import Trunk
+
+
+class FlatCNN(nn.Module):
+    """One trunk shared by the cameras; each image's features are averaged, joined and led to one token."""
+
+    class Config(PluginConfig):
+        """Settings of the flat network."""
+
+        trunk: str = Field(default="shufflenet_v2_x1_0", description="`tiny` or a torchvision model")
+        pretrained: bool | str = Field(
+            default=False, description="torchvision's weights (true) or a file of weights for the trunk"
+        )
+        width: PositiveInt = Field(default=256, description="numbers of the token")
+
+    def __init__(self, config: Config, rig: Rig) -> None:
+        super().__init__()
+        self.output_spec(config, rig)
+        self.cameras = len(rig.cameras)
+        self.trunk = Trunk(config.trunk, pretrained=config.pretrained)
+        self.linear = nn.Linear(self.cameras * self.trunk.channels, config.width)
+
+    @classmethod
+    def output_spec(cls, config: Config, rig: Rig) -> TokenSpec:
+        """One token of the configured width.
+
+        Raises:
+            ValueError: when the cameras' images differ in size.
+        """
+        if len({(camera.height, camera.width) for camera in rig.cameras}) > 1:
+            raise ValueError("the cameras' images must all have one size")
+        return TokenSpec(1, 1, config.width)
+
+    def forward(self, images: Tensor) -> SpatialOutput:
+        """Images (N, C, 3, H, W), ImageNet-normalised -> one token (N, 1, width)."""
+        features = self.trunk(images.flatten(0, 1)).mean((2, 3))
+        return SpatialOutput(self.linear(features.view(len(images), -1)).unsqueeze(1))
