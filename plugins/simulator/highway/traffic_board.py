@@ -33,13 +33,14 @@ def put_entry(board: Board, lane: int, vehicle: int, s: float, half: float, spee
 
 
 @njit(cache=True)
-def put_user(board: Board, lane: int, vehicle: int, s: float, claim: int) -> None:
+def put_user(board: Board, lane: int, vehicle: int, s: float, car: NDArray, claim: int) -> None:
     """Add a user, or a claimant, of a connector."""
     k = board.used[1]
     if k >= len(board.users):
         return
     user = board.users[k]
-    user.s, user.vehicle, user.claim, user.next = s, vehicle, claim, board.user_heads[lane]
+    user.s, user.half, user.speed = s, 0.5 * car.length, car.speed
+    user.vehicle, user.claim, user.next = vehicle, claim, board.user_heads[lane]
     board.user_heads[lane] = k
     board.used[1] = k + 1
 
@@ -127,12 +128,12 @@ def register(roads: Roads, car: NDArray, path: Ints, trail: Ints, i: int, board:
             break
         base += roads.lanes[trail[k]].length
         if roads.lanes[trail[k]].gate:
-            put_user(board, trail[k], i, car.s + base, 0)
+            put_user(board, trail[k], i, car.s + base, car, 0)
     base = 0.0
     last = -1
     for k in range(min(car.clear + 1, car.count)):
         if roads.lanes[path[k]].gate:
-            put_user(board, path[k], i, car.s - base, 0)
+            put_user(board, path[k], i, car.s - base, car, 0)
             last = k
         base += roads.lanes[path[k]].length
     if last >= 0 and last + 1 < car.count:

@@ -97,7 +97,7 @@ def boxes_touch(
 
 
 @njit(cache=True)
-def _meet(  # noqa: PLR0913
+def _meet(
     poses: NDArray, grid: Grid, near_start: Ints, near: Ints, half: float, half_width: float, count: int
 ) -> NDArray:
     """Rows (lane, other, a0, a1, b0, b1, mean cosine of the angle between them), ordered by lane."""

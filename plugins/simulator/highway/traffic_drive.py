@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.town import Floats, Ints
-from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, LEAD
 from me3bev_plugins.simulator.highway.traffic_state import Board, speed_at
 from me3bev_plugins.simulator.highway.traffic_tables import EASE, Roads
 
@@ -137,6 +137,8 @@ def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: NDArray, start: 
         own = 0.5 * car.length - HALF[size]
         for z in range(first, last):
             zone = roads.zones[z]
+            if zone.kind == LEAD and not zone.split:
+                accel = min(accel, _file_in(roads, board, car, zone, start, i, free, size))
             k = board.heads[zone.other]
             if k < 0 or start + zone.a1 + own < 0.0:
                 continue
@@ -161,6 +163,27 @@ def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: NDArray, start: 
 
 
 @njit(cache=True)
+def _file_in(
+    roads: Roads, board: Board, car: NDArray, zone: NDArray, start: float, i: int, free: float, size: int
+) -> float:
+    """Acceleration behind those who will go before this vehicle where two connectors become one lane."""
+    accel = free
+    k = board.user_heads[zone.other]
+    while k >= 0:
+        user = board.users[k]
+        k = user.next
+        if user.vehicle == i or user.claim or max(car.size, int(user.half > LARGE)) != size:
+            continue
+        if user.s > zone.b1 + user.half - HALF[size]:
+            continue
+        distance = start + zone.at_a + (user.s - zone.at_b) * zone.ratio
+        if distance > 0.0 or (distance == 0.0 and user.vehicle < i):
+            lengths = 0.5 * car.length + user.half
+            accel = min(accel, follow(roads.idm, free, car.speed, user.speed, distance, lengths))
+    return accel
+
+
+@njit(cache=True)
 def _meet_walkers(
     roads: Roads, board: Board, car: NDArray, lane: NDArray, start: float, free: float
 ) -> float:
@@ -172,8 +195,6 @@ def _meet_walkers(
         ahead = start + link.s - half
         if ahead < -half:
             continue
-        if board.walkers[k] > 0.0:
-            accel = min(accel, halt(roads.idm, free, car.speed, ahead - CURB_GAP))
-        elif board.asked[link.crossing] and ahead - CURB_GAP > car.speed * car.speed / (2.0 * 2.5):
+        if board.walkers[k] > 0.0 or (board.asked[link.crossing] and ahead - CURB_GAP > car.speed * car.speed / (2.0 * 2.5)):
             accel = min(accel, halt(roads.idm, free, car.speed, ahead - CURB_GAP))
     return accel

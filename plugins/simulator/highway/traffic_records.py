@@ -32,6 +32,7 @@ LANE = np.dtype(
         ("limit", "f8"),  # m/s
         ("width", "f8"),
         ("stop", "f8"),  # arc length at which a front halts
+        ("clear", "f8"),  # arc length from which a vehicle's rear leaves the junction behind it free
         ("speed", "f8"),  # at which the lane may be entered, m/s
         ("first", "i4"),  # sample
         ("count", "i4"),  # of samples
@@ -123,5 +124,7 @@ ENTRY = np.dtype(
 )
 """A vehicle on a lane, in a list per lane; `s` may lie beyond the lane's ends when only a part of it is there."""
 
-USER = np.dtype([("s", "f8"), ("vehicle", "i4"), ("claim", "i4"), ("next", "i4")], align=True)
+USER = np.dtype(
+    [("s", "f8"), ("half", "f8"), ("speed", "f8"), ("vehicle", "i4"), ("claim", "i4"), ("next", "i4")], align=True
+)
 """A vehicle that may use a connector (or, `claim`, is next to): `s` of its centre, negative before the connector."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.scene import Light
 from me3bev_plugins.simulator.highway.town import Ints
-from me3bev_plugins.simulator.highway.traffic_board import BERTH, put_user, register
+from me3bev_plugins.simulator.highway.traffic_board import BERTH, put_user
 from me3bev_plugins.simulator.highway.traffic_drive import decision_distance
 from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, STOP
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, choose_next
@@ -144,7 +144,7 @@ def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line:
         start = -car.s
         for k in range(last + 1):
             if k >= gate and roads.lanes[path[k]].gate:
-                put_user(board, path[k], i, -start, 0)
+                put_user(board, path[k], i, -start, car, 0)
             start += roads.lanes[path[k]].length
         if last + 1 < car.count:
             board.bound[path[last + 1]] += car.length + BERTH
@@ -153,7 +153,7 @@ def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line:
         start = -car.s
         for k in range(last + 1):
             if k >= gate and roads.lanes[path[k]].gate:
-                put_user(board, path[k], i, -start, 1)
+                put_user(board, path[k], i, -start, car, 1)
             start += roads.lanes[path[k]].length
     if verdict == NO_ROOM and car.speed < 0.5:
         car.jam += dt
@@ -177,10 +177,14 @@ def _chain_end(roads: Roads, car: NDArray, path: Ints, gate: int) -> int:
     for k in range(gate + 1, car.count):
         lane = roads.lanes[path[k]]
         if lane.gate:
+            before = roads.lanes[path[k - 1]]
+            need = car.length + roads.lanes[path[last + 1]].clear + 1.0
+            if k > last + 1 and between - (before.length - before.stop) > need:
+                break
             last, between = k, 0.0
             continue
         between += lane.length
-        if between > car.length + 2.0:
+        if between > 40.0:
             break
     return last
 
@@ -234,7 +238,9 @@ def _has_room(roads: Roads, board: Board, car: NDArray, path: Ints, last: int) -
     room = 0.0
     for k in range(last + 1, car.count):
         lane = roads.lanes[path[k]]
-        if lane.gate and k > last + 1:
+        if lane.gate:
+            before = roads.lanes[path[k - 1]]
+            room -= before.length - before.stop + 0.5
             break
         rear, speed = np.inf, 0.0
         n = board.heads[path[k]]
@@ -249,7 +255,7 @@ def _has_room(roads: Roads, board: Board, car: NDArray, path: Ints, last: int) -
         room += lane.length
         if room > 80.0:
             return True
-    return room - board.bound[path[last + 1]] > car.length + 0.5
+    return room - board.bound[path[last + 1]] > car.length + roads.lanes[path[last + 1]].clear
 
 
 @njit(cache=True)
@@ -279,25 +285,24 @@ def _conflicts(roads: Roads, fleet: Fleet, board: Board, i: int, lane: NDArray, 
             while k >= 0:
                 user = board.users[k]
                 k = user.next
-                other = fleet.cars[user.vehicle]
-                if user.vehicle == i or max(car.size, int(0.5 * other.length > LARGE)) != size:
+                if user.vehicle == i or max(car.size, int(user.half > LARGE)) != size:
                     continue
-                over = 0.5 * other.length - HALF[size]
+                over = user.half - HALF[size]
                 if user.s > zone.b1 + over + 0.5:
                     continue
                 if user.claim:
                     return True
                 if zone.kind == CROSS:
                     mine = _time_to(start + zone.a1 + own, car.speed, BRISK, max(lane.speed, 4.0))
-                    theirs = _time_to(zone.b0 - over - user.s, other.speed, 3.5, roads.lanes[zone.other].limit)
+                    theirs = _time_to(zone.b0 - over - user.s, user.speed, 3.5, roads.lanes[zone.other].limit)
                     if mine + 1.0 > theirs:
                         return True
                     continue
                 ahead = start + zone.at_a + (user.s - zone.at_b) * zone.ratio
-                clear = 0.5 * (car.length + other.length) + 2.0
+                clear = 0.5 * car.length + user.half + 2.0
                 if ahead > clear:
                     continue
-                gain = max(0.0, other.speed**2 - car.speed**2) / 5.0
-                if -ahead < clear + other.speed + gain:
+                gain = max(0.0, user.speed**2 - car.speed**2) / 5.0
+                if -ahead < clear + user.speed + gain:
                     return True
     return False

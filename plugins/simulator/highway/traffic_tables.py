@@ -16,6 +16,7 @@ from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid
 from me3bev_plugins.simulator.highway.traffic_records import (
     CROSS,
     GO,
+    HALF,
     LANE,
     LONG,
     MEDIUM,
@@ -32,6 +33,8 @@ EASE = 2.0
 """Deceleration towards a bend or a lower limit, m/s^2."""
 SLOWEST = 2.5
 """No bend is taken more slowly, m/s."""
+REACH = 8.0
+"""Turning vehicles sweep no more than this of the roads at a junction, metres."""
 _TURNS = {"straight": 0, "right": 1, "left": 2, "uturn": 3}
 _LENGTHS = {MEDIUM: 9.0, LONG: 12.0}
 
@@ -87,7 +90,7 @@ def tables(town: Town) -> Tables:
     zones = find_zones(town, lanes, samples, grid)
     walks, links = build_walks(town, lanes, samples, grid)
     _gates(town, lanes, zones)
-    _stop_lines(lanes, links, follow)
+    _stop_lines(lanes, zones, links, follow)
     return Tables(Roads(lanes, samples, follow, zones, links, idm_parameters()), grid, walks)
 
 
@@ -201,11 +204,26 @@ def _gates(town: Town, lanes: NDArray, zones: NDArray) -> None:
         lanes["gate"][lane.id] = int(meets or controlled)
 
 
-def _stop_lines(lanes: NDArray, links: NDArray, follow: Ints) -> None:
-    """Where a lane ends at a gate and pedestrians cross just before it, fronts halt before the crossing."""
+def _stop_lines(lanes: NDArray, zones: NDArray, links: NDArray, follow: Ints) -> None:
+    """Where vehicles that wait at a gate, or have just left one, are out of everybody's way.
+
+    Fronts halt before pedestrians' crossings and before what others sweep as they turn; rears must get beyond it.
+    """
     for lane in lanes:
-        if not lanes["gate"][follow[lane["follow0"] : lane["follow1"]]].any():
+        if lane["junction"] >= 0:
             continue
+        stop, clear = lane["length"], 0.5
+        for names, half in zip((("zone0", "zone1"), ("wide0", "wide1")), HALF, strict=True):
+            for zone in zones[lane[names[0]] : lane[names[1]]]:
+                if not lanes["gate"][zone["other"]]:
+                    continue
+                if zone["a0"] + half > lane["length"] - REACH:
+                    stop = min(stop, zone["a0"] + half)
+                if zone["a1"] - half < REACH:
+                    clear = max(clear, zone["a1"] - half)
         for link in links[lane["cross0"] : lane["cross1"]]:
             if lane["length"] - 10.0 < link["s"]:
-                lane["stop"] = min(lane["stop"], max(link["s"] - 3.0, 0.5 * lane["length"]))
+                stop = min(stop, link["s"] - 3.0)
+        if lanes["gate"][follow[lane["follow0"] : lane["follow1"]]].any():
+            lane["stop"] = max(stop, 0.5 * lane["length"])
+        lane["clear"] = clear
