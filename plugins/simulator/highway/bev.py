@@ -40,7 +40,7 @@ def bev_semantics(scene: Scene, cells: int = 200, cell: float = 0.5) -> Bytes:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sample_ground(tiles: Tiles, town_level: int, pose: Floats, cell: float, out: Bytes) -> None:
     cells = out.shape[0]
     index = tiles.table[town_level]
@@ -65,7 +65,7 @@ def _sample_ground(tiles: Tiles, town_level: int, pose: Floats, cell: float, out
             out[row, column] = middle
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _paint_boxes(things: Things, count: int, semantic: int, always: bool, cell: float, out: Bytes) -> None:
     """Paints the cells whose centres are inside boxes of one class; `always` also those under their middles."""
     cells = out.shape[0]

@@ -96,12 +96,13 @@ class _Packer:
         base: float = 0.0,
         semantic: int = 0,
         identity: int = -1,
+        state: int = 0,
     ) -> None:
         radius = 0.5 * float(np.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2))
         packed = 65536 * second[0] + 256 * second[1] + second[2]
         pose = [at[0], at[1], float(np.cos(heading)), float(np.sin(heading))]
         self.numbers.append([*pose, *size, *colour, float(packed), base, radius])
-        self.labels.append([int(shape), semantic, identity, 0])
+        self.labels.append([int(shape), semantic, identity, state])
 
 
 def build_scenery(town: Town) -> Scenery:
@@ -234,7 +235,7 @@ def _things(rows: int) -> Things:
     return Things(number=np.zeros((rows, NUMBERS)), label=np.zeros((rows, LABELS), np.int64))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def gather_scenery(scenery: Scenery, pose: Floats, farthest: float, lights: NDArray[np.int32], things: Things) -> int:
     """Copies what is near into `things`, in the ego frame; returns how many."""
     count = 0
@@ -260,7 +261,7 @@ def gather_scenery(scenery: Scenery, pose: Floats, farthest: float, lights: NDAr
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _to_ego(number: Floats, dx: float, dy: float, pose: Floats) -> None:
     """Turns a row's pose from the world into the ego frame."""
     cos, sin = number[COS], number[SIN]
@@ -268,7 +269,7 @@ def _to_ego(number: Floats, dx: float, dy: float, pose: Floats) -> None:
     number[COS], number[SIN] = cos * pose[2] + sin * pose[3], sin * pose[2] - cos * pose[3]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def gather_actors(
     place: Floats,
     kind: NDArray[np.int32],

@@ -92,5 +92,5 @@ def _canvas(size: tuple[int, int], faces: int) -> Canvas:
         colour=np.zeros((faces, 3), np.float32),
         style=np.zeros(faces, np.int32),
         owner=np.zeros(faces, np.int32),
-        wall=np.zeros((faces, 6), np.float32),
+        wall=np.zeros((faces, 10), np.float32),
     )

@@ -111,13 +111,13 @@ class _Builder:
     """Collects the faces of one mesh."""
 
     def __init__(self) -> None:
-        self.vertices: list[Point] = []
+        self.vertices: dict[Point, int] = {}
         self.faces: list[tuple[list[int], Role, float]] = []
 
     def face(self, points: list[Point], role: Role, reach: float = FAR) -> None:
-        first = len(self.vertices)
-        self.vertices += points
-        self.faces.append((list(range(first, first + len(points))), role, reach))
+        for point in points:
+            self.vertices.setdefault(point, len(self.vertices))
+        self.faces.append(([self.vertices[point] for point in points], role, reach))
 
     def sheet(self, points: list[Point], role: Role, reach: float = FAR) -> None:
         """A face seen from both sides."""

@@ -83,7 +83,7 @@ def sides(town: Town, levels: Levels, at: Floats, heights: Floats | None) -> NDA
     return side
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def level_of(levels: Levels, x: float, y: float, z: float) -> int:
     """The ground level to draw for an ego here: above or below the middle of the nearest crossing."""
     level, nearest = 0, np.inf
@@ -95,7 +95,7 @@ def level_of(levels: Levels, x: float, y: float, z: float) -> int:
     return level
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def hidden(levels: Levels, level: int, x: float, y: float, z: float) -> bool:
     """Whether something at this height is at a crossing and on the other level."""
     column, row = int((x - levels.origin[0]) // SQUARE), int((y - levels.origin[1]) // SQUARE)

@@ -82,7 +82,7 @@ class Tiles(NamedTuple):
     """Metres."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fill_polygons(
     raster: Bytes,
     points: Floats,
@@ -130,7 +130,7 @@ def fill_polygons(
                 raster[row, left:right] = codes[n]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def lay_kerbs(raster: Bytes, asphalt: int, sidewalk: int, kerb: int, reach: int) -> None:
     """Turns sidewalk cells within `reach` cells of asphalt into kerb."""
     rows, columns = raster.shape
@@ -149,7 +149,7 @@ def lay_kerbs(raster: Bytes, asphalt: int, sidewalk: int, kerb: int, reach: int)
                     break
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def index_tiles(raster: Bytes, index: NDArray[np.int32], wanted: NDArray[np.bool_], count: int) -> int:
     """Numbers the wanted tiles that need a record of their own from `count` on; returns the new count."""
     for ty in range(index.shape[0]):
@@ -171,7 +171,7 @@ def index_tiles(raster: Bytes, index: NDArray[np.int32], wanted: NDArray[np.bool
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fill_tiles(
     raster: Bytes, index: NDArray[np.int32], first: int, data: Bytes, mix: Bytes, mix_as: NDArray[np.int64]
 ) -> None:
@@ -204,7 +204,7 @@ def fill_tiles(
                         data[at + OFFSETS[level] + y * size + x] = _mixed(counts[y, x], mix)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _mixed(counts: NDArray[np.int32], mix: Bytes) -> np.uint8:
     """The code of the two commonest classes in their proportion."""
     best, second = 0, -1
@@ -220,7 +220,7 @@ def _mixed(counts: NDArray[np.int32], mix: Bytes) -> np.uint8:
     return np.uint8(mix[best, second, eighths])
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def lookup(index: NDArray[np.int32], data: Bytes, row: int, column: int) -> np.uint8:
     """The base class of a cell; grass outside the raster. `index` is one level's (rows, columns)."""
     ty, tx = row >> 5, column >> 5

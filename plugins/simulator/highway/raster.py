@@ -34,6 +34,8 @@ LABELS = 4
 
 _ROLE_WALL, _ROLE_SHADOW, _ROLE_TAIL, _ROLE_RED = int(Role.WALL), int(Role.SHADOW), int(Role.TAIL), int(Role.RED)
 _ROLE_GREEN, _ROLE_HEADLAMP = int(Role.GREEN), int(Role.HEADLAMP)
+STOREY, BAY = 3.3, 3.1
+"""Height of a storey and width of a window bay, metres."""
 PLAIN, WALL, SHADOW, GLOW = 0, 1, 2, 3
 """How a face is coloured: one colour, windows, darkened ground, unshaded."""
 
@@ -70,10 +72,11 @@ class Canvas(NamedTuple):
     owner: NDArray[np.int32]
     """(F,) row of `Things`."""
     wall: Singles
-    """(F, 6) direction along the wall in the camera frame, its offset, length and height."""
+    """(F, 10) of walls: direction along it in the camera frame and offset; window bays per metre along and up;
+    height; how 1/z changes per column; style; a number of its own."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def draw(camera: int, lenses: Lenses, meshes: Meshes, things: Things, count: int, sun: Floats, canvas: Canvas) -> int:
     """Fills the visibility buffer for one camera; returns the number of faces kept.
 
@@ -87,8 +90,8 @@ def draw(camera: int, lenses: Lenses, meshes: Meshes, things: Things, count: int
     left, right = pin[2] / pin[0], (width - pin[2]) / pin[0]
     left_norm, right_norm = np.sqrt(1 + left * left), np.sqrt(1 + right * right)
     near_scale = NOMINAL_FOCAL / pin[0]
-    local = np.empty((512, 3))
-    polygon = np.empty((CORNERS + 4, 3))
+    local = np.empty((512, 5))
+    polygon = np.empty((CORNERS + 4, 2))
     spans = np.empty((height, 2))
     sx = R[0, 0] * sun[0] + R[0, 1] * sun[1] + R[0, 2] * sun[2]
     sy = R[1, 0] * sun[0] + R[1, 1] * sun[1] + R[1, 2] * sun[2]
@@ -107,7 +110,7 @@ def draw(camera: int, lenses: Lenses, meshes: Meshes, things: Things, count: int
         distance = max(0.0, np.sqrt(dx * dx + dy * dy) - n[RADIUS]) * near_scale
         shape = things.label[i, SHAPE]
         first = meshes.vertex_start[shape]
-        _place(meshes.vertex, first, meshes.vertex_start[shape + 1], n, R, at, local)
+        nearest = _place(meshes.vertex, first, meshes.vertex_start[shape + 1], n, R, at, pin, local)
         for f in range(meshes.face_start[shape], meshes.face_start[shape + 1]):
             if meshes.reach[f] < distance:
                 continue
@@ -119,67 +122,82 @@ def draw(camera: int, lenses: Lenses, meshes: Meshes, things: Things, count: int
             offset = nx * a[0] + ny * a[1] + nz * a[2]
             if offset >= 0.0:
                 continue
-            corners = _clip(local, c, meshes.corners[f], polygon)
-            if corners < 3:
-                continue
-            rows = _outline(polygon, corners, pin, spans, width, height)
-            if rows[0] >= rows[1]:
+            corners = meshes.corners[f]
+            if nearest >= NEAR:
+                for k in range(corners):
+                    polygon[k, 0], polygon[k, 1] = local[c[k], 3], local[c[k], 4]
+            else:
+                corners = _clip(local, c, corners, pin, polygon)
+            top, bottom = _outline(polygon, corners, spans, width, height)
+            if top >= bottom:
                 continue
             gx, gy = nx / (offset * pin[0]), ny / (offset * pin[1])
-            _fill(canvas, spans, rows[0], rows[1], gx, gy, nz / offset - gx * pin[2] - gy * pin[3], kept)
+            _fill(canvas, spans, top, bottom, gx, gy, nz / offset - gx * pin[2] - gy * pin[3], kept)
             facing = (nx * sx + ny * sy + nz * sz) / np.sqrt(nx * nx + ny * ny + nz * nz)
             _dress(canvas, kept, i, n, things.label[i], meshes.role[f], sun[3] + sun[4] * max(0.0, facing))
             if canvas.style[kept] == WALL:
-                length = np.sqrt(ux * ux + uy * uy + uz * uz)
-                w = canvas.wall[kept]
-                w[0], w[1], w[2] = ux / length, uy / length, uz / length
-                w[3] = -(ux * a[0] + uy * a[1] + uz * a[2]) / length
-                w[4], w[5] = length, n[HEIGHT]
+                _face_wall(canvas.wall[kept], a, b, n[HEIGHT], gx, things.label[i, STATE], n[RADIUS])
             kept += 1
     return kept
 
 
-@njit(cache=True)
-def _place(vertex: Floats, first: int, end: int, n: Floats, R: Floats, at: Floats, out: Floats) -> None:
-    """A mesh's vertices, stretched, turned and moved into the camera frame."""
+@njit(cache=True, error_model="numpy")
+def _face_wall(w: Singles, a: Floats, b: Floats, height: float, slope: float, style: int, own: float) -> None:
+    """What is needed to find windows on a wall whose foot runs from `a` to `b` (camera frame)."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    length = np.sqrt(ux * ux + uy * uy + uz * uz)
+    ux, uy, uz = ux / length, uy / length, uz / length
+    w[0], w[1], w[2], w[3] = ux, uy, uz, -(ux * a[0] + uy * a[1] + uz * a[2])
+    w[4], w[5] = max(1.0, np.floor(length / BAY)) / length, max(1.0, np.floor(height / STOREY)) / height
+    w[6], w[7], w[8], w[9] = height, slope, style & 3, own
+
+
+@njit(cache=True, error_model="numpy")
+def _place(vertex: Floats, first: int, end: int, n: Floats, R: Floats, at: Floats, pin: Floats, out: Floats) -> float:
+    """A mesh's vertices, stretched, turned and moved into the camera frame, and their pixels; returns the least z."""
+    nearest = np.inf
     for k in range(first, end):
         x, y, z = vertex[k, 0] * n[LENGTH], vertex[k, 1] * n[WIDTH], vertex[k, 2] * n[HEIGHT]
         ex = n[X] + n[COS] * x - n[SIN] * y - at[0]
         ey = n[Y] + n[SIN] * x + n[COS] * y - at[1]
         ez = n[BASE] + z - at[2]
+        p = out[k - first]
         for r in range(3):
-            out[k - first, r] = R[r, 0] * ex + R[r, 1] * ey + R[r, 2] * ez
+            p[r] = R[r, 0] * ex + R[r, 1] * ey + R[r, 2] * ez
+        inverse = 1.0 / p[2]
+        p[3], p[4] = pin[0] * p[0] * inverse + pin[2], pin[1] * p[1] * inverse + pin[3]
+        nearest = min(nearest, p[2])
+    return nearest
 
 
-@njit(cache=True)
-def _clip(local: Floats, corner: Ints, count: int, out: Floats) -> int:
-    """The face cut at the near plane; returns how many corners remain."""
+@njit(cache=True, error_model="numpy")
+def _clip(local: Floats, corner: Ints, count: int, pin: Floats, out: Floats) -> int:
+    """The pixels of a face cut at the near plane; returns how many corners remain."""
     kept = 0
     p = local[corner[count - 1]]
     for k in range(count):
         q = local[corner[k]]
         if (p[2] >= NEAR) != (q[2] >= NEAR):
             share = (NEAR - p[2]) / (q[2] - p[2])
-            out[kept, 0] = p[0] + share * (q[0] - p[0])
-            out[kept, 1] = p[1] + share * (q[1] - p[1])
-            out[kept, 2] = NEAR
+            out[kept, 0] = pin[0] * (p[0] + share * (q[0] - p[0])) / NEAR + pin[2]
+            out[kept, 1] = pin[1] * (p[1] + share * (q[1] - p[1])) / NEAR + pin[3]
             kept += 1
         if q[2] >= NEAR:
-            out[kept, 0], out[kept, 1], out[kept, 2] = q[0], q[1], q[2]
+            out[kept, 0], out[kept, 1] = q[3], q[4]
             kept += 1
         p = q
     return kept
 
 
-@njit(cache=True)
-def _outline(polygon: Floats, corners: int, pin: Floats, spans: Floats, width: int, height: int) -> tuple[int, int]:
-    """Projects a convex polygon; writes its span of columns at each row's middle; returns the range of rows."""
-    low, high = np.inf, -np.inf
+@njit(cache=True, error_model="numpy")
+def _outline(polygon: Floats, corners: int, spans: Floats, width: int, height: int) -> tuple[int, int]:
+    """The columns that a convex polygon of pixels spans at each row's middle; returns the range of rows."""
+    low, high, left, right = np.inf, -np.inf, np.inf, -np.inf
     for k in range(corners):
-        inverse = 1.0 / polygon[k, 2]
-        polygon[k, 0] = pin[0] * polygon[k, 0] * inverse + pin[2]
-        polygon[k, 1] = pin[1] * polygon[k, 1] * inverse + pin[3]
         low, high = min(low, polygon[k, 1]), max(high, polygon[k, 1])
+        left, right = min(left, polygon[k, 0]), max(right, polygon[k, 0])
+    if right < 0.5 or left > width or high < 0.5 or low > height:
+        return 0, 0
     top, bottom = int(max(0.0, np.ceil(low - 0.5))), int(min(float(height), np.ceil(high - 0.5)))
     for row in range(top, bottom):
         spans[row, 0], spans[row, 1] = np.inf, -np.inf
@@ -199,7 +217,7 @@ def _outline(polygon: Floats, corners: int, pin: Floats, spans: Floats, width: i
     return top, bottom
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _fill(canvas: Canvas, spans: Floats, top: int, bottom: int, gx: float, gy: float, g0: float, face: int) -> None:
     """Writes 1/z and the face wherever it is nearest. Spans hold columns; a pixel counts when its centre does."""
     width = canvas.inverse.shape[1]
@@ -207,17 +225,19 @@ def _fill(canvas: Canvas, spans: Floats, top: int, bottom: int, gx: float, gy: f
     for row in range(top, bottom):
         first = int(max(0.0, np.ceil(spans[row, 0] - 0.5)))
         end = int(min(float(width), np.ceil(spans[row, 1] - 0.5)))
-        depth, owner = canvas.inverse[row], canvas.face[row]
-        start = np.float32(g0 + gy * (row + 0.5) + gx * 0.5)
+        if end <= first:
+            continue
+        depth, owner = canvas.inverse[row, first:end], canvas.face[row, first:end]
+        start = np.float32(g0 + gy * (row + 0.5) + gx * (first + 0.5))
         step = np.float32(gx)
-        for column in range(first, end):
+        for column in range(len(depth)):
             value = start + step * np.float32(column)
-            nearer = value > depth[column]
-            depth[column] = value if nearer else depth[column]
-            owner[column] = name if nearer else owner[column]
+            if value > depth[column]:
+                depth[column] = value
+                owner[column] = name
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _dress(canvas: Canvas, face: int, owner: int, n: Floats, label: Ints, role: int, light: float) -> None:
     """Colour and style of a face from its role and its owner's state."""
     canvas.owner[face] = owner

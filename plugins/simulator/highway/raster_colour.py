@@ -27,7 +27,8 @@ HAZE_DISTANCE = 260.0
 SUN = np.array([0.35, 0.55, 0.76])
 """Direction to the sun in the world frame."""
 AMBIENT, DIRECT = 0.62, 0.5
-_SHADOW_LIGHT = 0.55
+_SHADOW_LIGHT = 140
+"""Of 256."""
 _PAINT_COLOURS = {
     Paint.GRASS: (92, 122, 62),
     Paint.ASPHALT: (84, 85, 88),
@@ -40,8 +41,12 @@ _PAINT_COLOURS = {
     Paint.KERB: (188, 186, 180),
 }
 _GRAIN_STRENGTH = np.array([0.16, 0.09, 0.07, 0.05, 0.05, 0.06, 0.09, 0.14, 0.05])
-FLOOR, BAY = 3.3, 3.1
-"""Height of a storey and width of a window bay, metres."""
+WINDOWS = np.array(
+    [(0.24, 0.76, 0.28, 0.78), (-1.0, 2.0, 0.36, 0.8), (0.3, 0.7, 0.14, 0.88), (0.12, 0.88, 0.3, 0.82)], np.float32
+)
+"""By style: left, right, lower and upper edge of the glass within a bay and storey: punched, ribbons, tall, wide."""
+PLINTH, CORNICE = 0.5, 0.4
+"""Heights of the darker bands at a wall's foot and top, metres."""
 
 
 class Backdrop(NamedTuple):
@@ -115,7 +120,7 @@ def _grain() -> Bytes:
     return np.asarray((rank * SHADES).astype(np.uint8))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def paint(
     camera: int,
     lenses: Lenses,
@@ -140,20 +145,36 @@ def paint(
     for row in range(height):
         level = drop.level[camera, row]
         y = (row + 0.5 - pin[3]) / pin[1]
+        rise, eye = np.float32(R[1, 2] * y + R[2, 2]), np.float32(lenses.position[camera, 2])
+        step = np.float32(1.0 / pin[0])
         if level >= 0:
             ground_row(camera, lenses, drop.depth[camera, row], y, pose, tiles.origin, tiles.cell, ground)
-            _paint_ground(row, level, ground, index, tiles.data, drop.ground[camera, row], drop.grain, canvas, out)
-        else:
-            colour = drop.sky[camera, row]
-            for column in range(width):
-                if canvas.face[row, column] < 0:
-                    for k in range(3):
-                        out[k, row, column] = colour[k]
-        up_row = R[1, 2] * y + R[2, 2]
-        _paint_faces(row, y, up_row, lenses.position[camera, 2], pin, canvas, out)
+        faces, first = canvas.face[row], 0
+        while first < width:
+            face, end = faces[first], first + 1
+            while end < width and faces[end] == face:
+                end += 1
+            red, green, blue = out[0, row, first:end], out[1, row, first:end], out[2, row, first:end]
+            inverse = canvas.inverse[row, first:end]
+            style = canvas.style[face] if face >= 0 else -1
+            if style == WALL:
+                x = np.float32((first + 0.5 - pin[2]) / pin[0])
+                _paint_wall(
+                    inverse, canvas.colour[face], canvas.wall[face], x, np.float32(y), rise, eye, step, red, green, blue
+                )
+            elif style >= 0 and style != SHADOW:
+                _paint_plain(inverse, canvas.colour[face], red, green, blue)
+            elif level >= 0:
+                colours = drop.ground[camera, row]
+                _paint_ground(first, level, ground, index, tiles.data, colours, drop.grain, red, green, blue)
+                if style == SHADOW:
+                    _darken(red, green, blue)
+            else:
+                red[:], green[:], blue[:] = drop.sky[camera, row, 0], drop.sky[camera, row, 1], drop.sky[camera, row, 2]
+            first = end
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def ground_row(
     camera: int,
     lenses: Lenses,
@@ -176,99 +197,104 @@ def ground_row(
     out[3] = (pose[3] * sx + pose[2] * sy) / cell
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _paint_ground(
-    row: int,
+    first: int,
     level: int,
     ground: Floats,
     index: NDArray[np.int32],
     data: Bytes,
     colours: Bytes,
     grain: Bytes,
-    canvas: Canvas,
-    out: Bytes,
+    red: Bytes,
+    green: Bytes,
+    blue: Bytes,
 ) -> None:
-    """Ground where no face is, and darkened where a shadow is. Positions step in fixed point."""
-    column_at, row_at = np.int64(np.floor(ground[0] * 65536)), np.int64(np.floor(ground[1] * 65536))
+    """A run of ground from column `first` on. Positions step in fixed point."""
     column_step, row_step = np.int64(np.round(ground[2] * 65536)), np.int64(np.round(ground[3] * 65536))
+    column_at = np.int64(np.floor(ground[0] * 65536)) + first * column_step
+    row_at = np.int64(np.floor(ground[1] * 65536)) + first * row_step
     bottom, right = index.shape[0], index.shape[1]
     offset, line = OFFSETS[level], 5 - level
-    faces = canvas.face[row]
-    red, green, blue = out[0, row], out[1, row], out[2, row]
-    for column in range(len(faces)):
-        face = faces[column]
-        if face < 0 or canvas.style[face] == SHADOW:
-            r, c = row_at >> 16, column_at >> 16
-            ty, tx = r >> 5, c >> 5
-            code = np.int64(0)
-            if 0 <= ty < bottom and 0 <= tx < right:
-                at = ((r & 31) >> level << line) + ((c & 31) >> level)
-                code = np.int64(data[np.int64(index[ty, tx]) * RECORD + offset + at])
-            shade = code * SHADES + grain[(r >> level) & (GRAIN - 1), (c >> level) & (GRAIN - 1)]
-            if face < 0:
-                red[column], green[column], blue[column] = colours[shade, 0], colours[shade, 1], colours[shade, 2]
-            else:
-                red[column] = np.uint8(colours[shade, 0] * _SHADOW_LIGHT)
-                green[column] = np.uint8(colours[shade, 1] * _SHADOW_LIGHT)
-                blue[column] = np.uint8(colours[shade, 2] * _SHADOW_LIGHT)
+    for column in range(len(red)):
+        r, c = row_at >> 16, column_at >> 16
+        ty, tx = r >> 5, c >> 5
+        code = np.int64(0)
+        if 0 <= ty < bottom and 0 <= tx < right:
+            at = ((r & 31) >> level << line) + ((c & 31) >> level)
+            code = np.int64(data[np.int64(index[ty, tx]) * RECORD + offset + at])
+        shade = code * SHADES + grain[(r >> level) & (GRAIN - 1), (c >> level) & (GRAIN - 1)]
+        red[column], green[column], blue[column] = colours[shade, 0], colours[shade, 1], colours[shade, 2]
         column_at += column_step
         row_at += row_step
 
 
-@njit(cache=True)
-def _paint_faces(row: int, y: float, up: float, eye: float, pin: Floats, canvas: Canvas, out: Bytes) -> None:
-    """Faces with haze by distance; `up` is the rise of the row's rays per metre of depth."""
-    faces, inverse = canvas.face[row], canvas.inverse[row]
+@njit(cache=True, error_model="numpy")
+def _darken(red: Bytes, green: Bytes, blue: Bytes) -> None:
+    """A run of ground in shadow."""
+    for channel in (red, green, blue):
+        for column in range(len(channel)):
+            channel[column] = (np.int32(channel[column]) * _SHADOW_LIGHT) >> 8
+
+
+@njit(cache=True, error_model="numpy")
+def _paint_plain(inverse: Singles, colour: Singles, red: Bytes, green: Bytes, blue: Bytes) -> None:
+    """A run of a face of one colour, with haze by distance."""
     thickness = np.float32(1.0 / HAZE_DISTANCE)
     hr, hg, hb = np.float32(HAZE[0]), np.float32(HAZE[1]), np.float32(HAZE[2])
-    for column in range(len(faces)):
-        face = faces[column]
-        if face < 0:
-            continue
-        style = canvas.style[face]
-        if style == SHADOW:
-            continue
-        iz = inverse[column]
-        r, g, b = canvas.colour[face, 0], canvas.colour[face, 1], canvas.colour[face, 2]
-        if style == WALL:
-            z = np.float32(1.0) / iz
-            w = canvas.wall[face]
-            x = np.float32((column + 0.5 - pin[2]) / pin[0])
-            along = z * (w[0] * x + w[1] * np.float32(y) + w[2]) + w[3]
-            r, g, b = _window(r, g, b, along, np.float32(eye) + z * np.float32(up), w[4], w[5], z)
-        haze = thickness / (iz + thickness)
-        out[0, row, column] = np.uint8(r + (hr - r) * haze)
-        out[1, row, column] = np.uint8(g + (hg - g) * haze)
-        out[2, row, column] = np.uint8(b + (hb - b) * haze)
+    r, g, b = colour[0], colour[1], colour[2]
+    for column in range(len(red)):
+        haze = thickness / (inverse[column] + thickness)
+        red[column] = np.int32(r + (hr - r) * haze)
+        green[column] = np.int32(g + (hg - g) * haze)
+        blue[column] = np.int32(b + (hb - b) * haze)
 
 
-@njit(cache=True)
-def _window(
-    r: np.float32,
-    g: np.float32,
-    b: np.float32,
-    along: np.float32,
-    up: np.float32,
-    length: np.float32,
-    height: np.float32,
-    depth: np.float32,
-) -> tuple[np.float32, np.float32, np.float32]:
-    """A wall's colour at a point: a grid of windows, a plinth and a cornice; calmer far away."""
-    bays, floors = max(1.0, np.floor(length / BAY)), max(1.0, np.floor(height / FLOOR))
-    u, v = along / length * bays, up / height * floors
-    bay, storey = np.floor(u), np.floor(v)
-    fu, fv = u - bay, v - storey
-    one = np.float32(1.0)
-    if up < 0.5 or up > height - 0.4:
-        return r * np.float32(0.82), g * np.float32(0.82), b * np.float32(0.82)
-    inside = 0.24 < fu < 0.76 and 0.28 < fv < 0.78
-    if not inside:
-        return r, g, b
-    tone = np.float32((np.int64(bay * 7.0 + storey * 13.0 + length * 3.0) & 3) * 9)
-    glass = min(one, max(np.float32(0.35), one - depth * np.float32(0.006)))
-    keep = one - glass
-    return (
-        r * keep + (np.float32(48.0) + tone) * glass,
-        g * keep + (np.float32(56.0) + tone) * glass,
-        b * keep + (np.float32(68.0) + tone) * glass,
-    )
+@njit(cache=True, error_model="numpy")
+def _paint_wall(
+    inverse: Singles,
+    colour: Singles,
+    w: Singles,
+    x: np.float32,
+    y: np.float32,
+    rise: np.float32,
+    eye: np.float32,
+    step: np.float32,
+    red: Bytes,
+    green: Bytes,
+    blue: Bytes,
+) -> None:
+    """A run of a wall: windows by the building's style, a plinth, a cornice, haze.
+
+    Where pixels are wide against a bay, the windows fade into their mean. `rise` is how far the row's rays climb
+    per metre of depth, from the height of the `eye`.
+    """
+    thickness, one, zero = np.float32(1.0 / HAZE_DISTANCE), np.float32(1.0), np.float32(0.0)
+    hr, hg, hb = np.float32(HAZE[0]), np.float32(HAZE[1]), np.float32(HAZE[2])
+    left, right, low, high = WINDOWS[int(w[8]), 0], WINDOWS[int(w[8]), 1], WINDOWS[int(w[8]), 2], WINDOWS[int(w[8]), 3]
+    cornice, own = w[6] - np.float32(CORNICE), np.int32(w[9] * np.float32(16.0))
+    ray_step, ray_start = w[0] * step, w[0] * x + w[1] * y + w[2]
+    wr, wg, wb = colour[0], colour[1], colour[2]
+    foot, bays, storeys, slope = w[3], w[4], w[5], w[7]
+    for column in range(len(red)):
+        z = one / inverse[column]
+        ray = ray_start + ray_step * np.float32(column)
+        up = eye + z * rise
+        u, v = (z * ray + foot) * bays, up * storeys
+        bay, storey = np.int32(u), np.int32(v)
+        fu, fv = u - np.float32(bay), v - np.float32(storey)
+        inside = (left < fu) & (fu < right) & (low < fv) & (fv < high)
+        band = (up < np.float32(PLINTH)) | (up > cornice)
+        footprint = abs(z * (ray_step - slope * z * ray)) * bays
+        detail = min(one, max(zero, np.float32(1.3) - np.float32(2.0) * footprint))
+        glass = np.float32(0.3) * (one - detail) + (detail if inside else zero)
+        glass = zero if band else glass
+        keep = np.float32(0.82) if band else one - glass
+        tone = np.float32(((bay * np.int32(7) + storey * np.int32(13) + own) & np.int32(3)) * np.int32(9)) * detail
+        haze = thickness * z / (one + thickness * z)
+        r = wr * keep + (np.float32(50.0) + tone) * glass
+        g = wg * keep + (np.float32(58.0) + tone) * glass
+        b = wb * keep + (np.float32(70.0) + tone) * glass
+        red[column] = np.int32(r + (hr - r) * haze)
+        green[column] = np.int32(g + (hg - g) * haze)
+        blue[column] = np.int32(b + (hb - b) * haze)

@@ -12,7 +12,7 @@ from me3bev_plugins.simulator.highway.raster import IDENTITY, SEMANTIC, SHADOW, 
 from me3bev_plugins.simulator.highway.raster_colour import Backdrop, ground_row
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def read_truth(
     camera: int,
     lenses: Lenses,
