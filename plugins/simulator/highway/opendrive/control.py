@@ -126,6 +126,8 @@ def place_signals(network: Network, crossings: list[Crossing]) -> tuple[Signal, 
         approaches = [lanes for arm in crossing.arms if (lanes := [n for n in arm.incoming if n in crossing.governed])]
         headings = [_mean_heading(network, lanes) for lanes in approaches]
         phases = phase_groups(headings)
+        if max(phases, default=0) == 0:  # One phase would be green for ever.
+            phases = list(range(len(approaches)))
         for lanes, heading, phase in zip(approaches, headings, phases, strict=True):
             position = _head(network, crossing, lanes, heading)
             signals.append(Signal(len(signals), index, tuple(lanes), phase, position, heading))

@@ -18,6 +18,8 @@ PARAMETERS = {"line": 0, "arc": 1, "spiral": 2, "poly3": 4, "paramPoly3": 9}
 """How many values each curve takes: curvatures, then polynomial coefficients; a paramPoly3 ends with its range."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+_MOST_PANELS = 400
+"""Enough for a spiral of a hundred turns."""
 _TABLE = 257
 """Samples of a polynomial curve from which arc length is inverted."""
 
@@ -121,7 +123,7 @@ def _clothoid(d: Floats, curvature: float, rate: float) -> tuple[Floats, Floats,
         chord = d * np.sinc(half / np.pi)
         return chord * np.cos(half), chord * np.sin(half), turn, np.full_like(d, curvature)
     furthest = float(np.abs(d).max(initial=0.0))
-    panels = 1 + int(furthest * (abs(curvature) + abs(rate) * furthest) / 2)
+    panels = 1 + min(int(furthest * (abs(curvature) + abs(rate) * furthest) / 2), _MOST_PANELS)
     edges = np.arange(panels)[:, None]
     fraction = ((edges + (_NODES + 1) / 2) / panels).ravel()
     weight = np.tile(_WEIGHTS / (2 * panels), panels)

@@ -15,7 +15,7 @@ from me3bev_plugins.simulator.highway.opendrive.blocks import (
     find_blocks,
     join_through_short,
 )
-from me3bev_plugins.simulator.highway.opendrive.graph import lane_links
+from me3bev_plugins.simulator.highway.opendrive.graph import Links, lane_links
 from me3bev_plugins.simulator.highway.opendrive.joints import share_joints, smooth, strongest_component
 from me3bev_plugins.simulator.highway.opendrive.records import Document
 from me3bev_plugins.simulator.highway.opendrive.shapes import Key
@@ -24,6 +24,8 @@ from me3bev_plugins.simulator.highway.town import Floats, Marking, Turn
 SOLID = ("solid", "yellow_solid")
 HIGHWAY = 100 / 3.6
 """m/s; a nominal limit above it makes a motorway."""
+TOUCHING = 2.0
+"""Metres between two lane ends that can be one joint."""
 FALLBACK = 30 / 3.6
 """m/s, where the file gives no limit."""
 
@@ -94,7 +96,7 @@ def build_network(document: Document, shapes: Shapes, cuts: frozenset[tuple[str,
         MapError: no driving lane leads anywhere.
     """
     every = lane_links(document)
-    links, tapers = branch_tapers(join_through_short(every, shapes), shapes)
+    links, tapers = branch_tapers(join_through_short(_meeting(every, shapes), shapes), shapes)
     drafts: list[Draft] = []
     for block in find_blocks(document, links, cuts):
         drafts.extend(_drafts(document, shapes, block, len(drafts)))
@@ -116,6 +118,18 @@ def build_network(document: Document, shapes: Shapes, cuts: frozenset[tuple[str,
         draft.points = points
     of = {key: index for index, draft in enumerate(kept) for key in draft.keys}
     return Network(kept, of, frozenset(key for key in every if key not in of))
+
+
+def _meeting(links: Links, shapes: Shapes) -> Links:
+    """The links whose two ends lie together; a file may link roads that do not touch."""
+
+    def end(key: Key, last: bool) -> Floats:
+        return shapes[key[:2]].end(key[2], -1 if (key[2] < 0) == last else 0)
+
+    return {
+        key: [n for n in targets if float(np.abs(end(key, True) - end(n, False)).max()) < TOUCHING]
+        for key, targets in links.items()
+    }
 
 
 def _renumber(kept: list[Draft], position: Sequence[int], keep: list[bool]) -> None:

@@ -19,6 +19,8 @@ from me3bev_plugins.simulator.highway.opendrive.values import Element, Values
 
 LONGEST = 100_000.0
 """Metres; a longer road is a fault of the file, not a road."""
+SHARPEST = 100.0
+"""1/m; a sharper curve is a fault of the file."""
 UNITS = {"mph": 0.44704, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "m/s": 1.0}
 
 
@@ -89,12 +91,19 @@ class RoadReader:
             raise self.values.fault("has no <planView> with a <geometry>")
         return ReferenceLine(tuple(sorted(pieces, key=lambda piece: piece.s)))
 
+    def curvature(self, element: Element, key: str) -> float:
+        """A curvature that a road could have."""
+        value = self.values.number(element, key)
+        if abs(value) > SHARPEST:
+            raise self.values.fault(f"<{element.tag}> {key}='{element.get(key)}' is out of range")
+        return value
+
     def curve(self, element: Element, length: float) -> tuple[float, ...]:
         """The values of one curve, in the order that `Piece` takes them."""
         if element.tag == "arc":
-            return (self.values.number(element, "curvature"),)
+            return (self.curvature(element, "curvature"),)
         if element.tag == "spiral":
-            return self.values.number(element, "curvStart"), self.values.number(element, "curvEnd")
+            return self.curvature(element, "curvStart"), self.curvature(element, "curvEnd")
         if element.tag == "poly3":
             return tuple(self.values.number(element, letter) for letter in "abcd")
         if element.tag == "paramPoly3":

@@ -18,6 +18,8 @@ STEP = 0.95
 """Metres between samples on straights."""
 TURN = np.radians(0.75)
 """Most turn between samples."""
+DENSEST = 50.0
+"""Most samples per metre, whatever the curves of a damaged file say."""
 PROBE = 0.5
 """Metres between the probes that measure how a section bends."""
 
@@ -58,6 +60,12 @@ class SectionShape:
         """(N, 3) centre line of a lane, along s."""
         return self.line((self.edges[lane] + self.inner(lane)) / 2)
 
+    def end(self, lane: int, at: int) -> Floats:
+        """(3,) the first (0) or last (-1) point of a lane's centre line, along s."""
+        lateral = (self.edges[lane][at] + self.inner(lane)[at]) / 2
+        sin, cos = np.sin(self.heading[at]), np.cos(self.heading[at])
+        return np.array([self.x[at] - lateral * sin, self.y[at] + lateral * cos, self.z[at]])
+
 
 def section_shapes(document: Document) -> dict[tuple[str, int], SectionShape]:
     """Every section of every road, by (road id, section index)."""
@@ -94,6 +102,7 @@ def _samples(road: Road, section: Section) -> Floats:
     density = np.maximum((1.0 + bend * reach) / STEP, (bend + sway) / TURN)
     # A bend counts from one probe before it begins to one after it ends.
     density = np.maximum(density, np.maximum(np.append(density[1:], 0.0), np.append(0.0, density[:-1])))
+    density = np.minimum(density, DENSEST)
     count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(probes))])
     samples = np.interp(np.linspace(0.0, count[-1], max(1, int(np.ceil(count[-1]))) + 1), count, probes)
     samples[0], samples[-1] = section.start, section.end

@@ -13,7 +13,7 @@ from me3bev_plugins.simulator.highway.opendrive.lanes import HIGHWAY, Network
 from me3bev_plugins.simulator.highway.opendrive.records import WALKING, is_driven
 from me3bev_plugins.simulator.highway.opendrive.shapes import SectionShape
 from me3bev_plugins.simulator.highway.opendrive.surfaces import paved_lanes
-from me3bev_plugins.simulator.highway.town import Floats, Sidewalk
+from me3bev_plugins.simulator.highway.town import Floats, Ints, Sidewalk
 
 NARROWEST = 1.0
 """Metres; a narrower sidewalk lane is a kerb."""
@@ -23,6 +23,7 @@ GAP = 45.0
 """Metres across a junction mouth or round a corner that a line may be carried on over free ground."""
 SHORTEST = 6.0
 """Metres; shorter lines are dropped."""
+ROWS = 256
 SPACING = 4.0
 """Metres between points of a walking line where it is straight."""
 
@@ -146,8 +147,7 @@ def _links(pieces: list[_Piece], ground: Footprint) -> dict[int, tuple[int, Floa
     """For each joined end (piece i starts at 2 i, ends at 2 i + 1) the end it leads to and the way there."""
     ends = np.array([p.points[i] for p in pieces for i in (0, -1)])
     outward = np.array([d / max(np.hypot(*d), 1e-9) for p in pieces for d in _outward(p.points)])
-    distance = np.hypot(*(ends[:, None] - ends[None]).transpose(2, 0, 1))
-    first, second = np.nonzero(np.triu(distance < GAP, 1))
+    first, second, distance = _near_pairs(ends)
     chain = list(range(len(pieces)))
 
     def find(piece: int) -> int:
@@ -157,7 +157,7 @@ def _links(pieces: list[_Piece], ground: Footprint) -> dict[int, tuple[int, Floa
         return piece
 
     links: dict[int, tuple[int, Floats]] = {}
-    for pair in np.argsort(distance[first, second], kind="stable"):
+    for pair in np.argsort(distance, kind="stable"):
         a, b = int(first[pair]), int(second[pair])
         if a in links or b in links or find(a // 2) == find(b // 2):
             continue
@@ -166,6 +166,19 @@ def _links(pieces: list[_Piece], ground: Footprint) -> dict[int, tuple[int, Floa
             links[a], links[b] = (b, way), (a, way[::-1])
             chain[find(a // 2)] = find(b // 2)
     return links
+
+
+def _near_pairs(ends: Floats) -> tuple[Ints, Ints, Floats]:
+    """Indices of each two ends nearer than `GAP`, and how far apart they are; a block of rows at a time."""
+    found: list[tuple[Ints, Ints, Floats]] = []
+    for low in range(0, len(ends), ROWS):
+        rows = ends[low : low + ROWS]
+        distance = np.hypot(rows[:, None, 0] - ends[None, :, 0], rows[:, None, 1] - ends[None, :, 1])
+        first, second = np.nonzero(distance < GAP)
+        upper = second > first + low
+        first, second = first[upper], second[upper]
+        found.append((first + low, second, distance[first, second]))
+    return tuple(np.concatenate(part) for part in zip(*found, strict=True))  # type: ignore[return-value]
 
 
 def _outward(points: Floats) -> tuple[Floats, Floats]:
