@@ -198,7 +198,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
 
     @property
     def scene(self) -> Scene:
-        """The world at this instant."""
+        """The world at this instant. The actors are moved in place: copy what is to be kept."""
         return Scene(self.town, self.vehicle.pose, self._traffic.actors, self._traffic.lights)
 
     @property

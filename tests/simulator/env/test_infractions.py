@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ NONE = Infractions(False, False)
 FRONT = 4.7 / 2
 
 
-def drive(town: Town, poses: list[tuple[float, float, float, float]], light: Light) -> list[Infractions]:
+def drive(town: Town, poses: Sequence[tuple[float, float, float, float]], light: Light) -> list[Infractions]:
     """What is broken at each pose (x and y of the front, heading, speed) after the first."""
     lines = StopLines(town)
     lights = np.array([light], np.int32)
