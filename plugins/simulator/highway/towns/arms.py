@@ -36,6 +36,11 @@ class Arm:
         return self.street.path.pose(self.mouth)
 
     @property
+    def root(self) -> float:
+        """Direction into the arm at the node itself, before any bend."""
+        return float(wrap(self.street.path.pose(self.station)[2] + (0.0 if self.away > 0 else math.pi)))
+
+    @property
     def outward(self) -> float:
         """Direction from the node into the arm."""
         return float(wrap(self.pose[2] + (0.0 if self.away > 0 else math.pi)))
@@ -57,6 +62,10 @@ class Arm:
         """Start of a leaving lane, heading out of the junction."""
         x, y, h = beside(self.pose, lane.offset)
         return x, y, wrap(h if self.away > 0 else h + math.pi)
+
+    def at_node(self, lane: LaneSpec) -> Pose:
+        """Where a lane, drawn on past the mouth along the street, passes the node; along the path."""
+        return beside(self.street.path.pose(self.station), lane.offset)
 
 
 def arms_at(layout: Layout, node: Node) -> list[Arm]:
@@ -93,8 +102,31 @@ def clear_of_each_other(arms: list[Arm]) -> None:
                 raise ValueError(f"street {arm.street.name} never comes clear of the others at {arm.pose[:2]}")
 
 
+def part(arms: list[Arm]) -> None:
+    """Trim arms that leave side by side, such as a ramp and its motorway, to where their asphalt has parted."""
+    for arm in arms:
+        for other in arms:
+            narrower = arm.street.section.forward < other.street.section.forward
+            if narrower and arm.street is not other.street and math.cos(arm.root - other.root) > 0.8:
+                while (reach := _along(arm, other)) is not None:
+                    arm.trim += 0.5
+                    other.trim = max(other.trim, reach + 0.5)
+                    if arm.trim > 150:
+                        raise ValueError(f"streets {arm.street.name} and {other.street.name} never part")
+
+
+def _along(arm: Arm, other: Arm) -> float | None:
+    """How far out on another arm this one's mouth lies, if that is on or near the other's asphalt."""
+    section = other.street.section
+    for corner in _corners(arm):
+        station, left = other.street.path.beside(corner, other.station + other.away * arm.trim)
+        if section.asphalt(-1) - 0.3 < left < section.asphalt(1) + 0.3:
+            return (station - other.station) * other.away
+    return None
+
+
 def _crosses(arm: Arm, other: Arm) -> bool:
-    return other is not arm and abs(math.sin(arm.outward - other.outward)) > 0.4
+    return other is not arm and abs(math.sin(arm.root - other.root)) > 0.4
 
 
 def _corners(arm: Arm) -> list[Point]:

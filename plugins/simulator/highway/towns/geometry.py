@@ -129,6 +129,18 @@ class Path:
                     found.append(s % self.length if self.closed else s)
         return found
 
+    def beside(self, point: Point, guess: float) -> tuple[float, float]:
+        """(station, metres to the left) of a point, found from a guess of the station."""
+        s, left = guess, 0.0
+        for _ in range(12):
+            x, y, h = self.pose(s)
+            dx, dy = point[0] - x, point[1] - y
+            ahead, left = dx * math.cos(h) + dy * math.sin(h), dy * math.cos(h) - dx * math.sin(h)
+            s += ahead
+            if not self.closed:
+                s = min(max(s, 0.0), self.length)
+        return s, left
+
     def nearest(self, point: Point) -> float:
         """Station of the path's point nearest to `point`."""
         return min(self.near(point, math.inf), key=lambda s: math.dist(self.pose(s)[:2], point))

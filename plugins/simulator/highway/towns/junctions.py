@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from me3bev_plugins.simulator.highway.towns.arms import ROOM_FOR_CROSSWALK, Arm, arms_at, clear_of_each_other
+from me3bev_plugins.simulator.highway.towns.arms import ROOM_FOR_CROSSWALK, Arm, arms_at, clear_of_each_other, part
 from me3bev_plugins.simulator.highway.towns.connect import connect
 from me3bev_plugins.simulator.highway.towns.geometry import Path, meet, wrap
 from me3bev_plugins.simulator.highway.towns.streets import Layout, Node
@@ -29,6 +29,7 @@ class Link:
 def join(layout: Layout, node: Node) -> tuple[list[Arm], list[Link]]:
     """Arms of a node, trimmed, and the links between their lanes."""
     arms = arms_at(layout, node)
+    part(arms)
     if node.links:
         links = _explicit(node, arms)
     elif node.ring:
@@ -131,11 +132,12 @@ def _straight(arms: list[Arm], source: int, target: int) -> list[Link]:
 
 
 def _sidestep(arms: list[Arm], link: Link) -> float:
-    """Metres between the two lanes across their mean direction."""
+    """Metres between the two lanes across their mean direction, both drawn on to the node."""
     source, target = arms[link.source], arms[link.target]
-    x0, y0, h0 = source.entry(source.entering()[link.lane])
-    x1, y1, h1 = target.exit(target.leaving()[link.onto])
-    mean = h0 + wrap(h1 - h0) / 2
+    x0, y0, _ = source.at_node(source.entering()[link.lane])
+    x1, y1, _ = target.at_node(target.leaving()[link.onto])
+    ahead = wrap(source.root + math.pi)
+    mean = ahead + wrap(target.root - ahead) / 2
     return float(abs((y1 - y0) * math.cos(mean) - (x1 - x0) * math.sin(mean)))
 
 
@@ -149,8 +151,14 @@ def complete(arms: list[Arm], targets: list[list[tuple[float, int]]], links: lis
         for onto in range(len(arms[target].leaving()))
     ]
 
-    def cost(link: Link) -> tuple[float, float]:
-        return round(abs(turn(arms, link.source, link.target)), 3), _sidestep(arms, link)
+    def cost(link: Link) -> tuple[float, float, float]:
+        angle = turn(arms, link.source, link.target)
+        if abs(angle) < STRAIGHT:
+            return 0.0, _sidestep(arms, link), abs(angle)
+        # Turn from the outermost lane, so as not to cut across the lanes beside it.
+        lanes, room = len(arms[link.source].entering()), len(arms[link.target].leaving())
+        aside = link.lane if angle > 0 else lanes - 1 - link.lane
+        return 1.0, aside + (link.onto if angle > 0 else room - 1 - link.onto), abs(angle)
 
     links = list(dict.fromkeys(links))
     for i, arm in enumerate(arms):
