@@ -24,6 +24,8 @@ from me3bev_plugins.simulator.highway.town import Floats, Marking, Turn
 SOLID = ("solid", "yellow_solid")
 HIGHWAY = 100 / 3.6
 """m/s; a nominal limit above it makes a motorway."""
+NARROWEST = 1.0
+"""Metres; a narrower lane has been closed."""
 TOUCHING = 2.0
 """Metres between two lane ends that can be one joint."""
 FALLBACK = 30 / 3.6
@@ -121,14 +123,16 @@ def build_network(document: Document, shapes: Shapes, cuts: frozenset[tuple[str,
 
 
 def _meeting(links: Links, shapes: Shapes) -> Links:
-    """The links whose two ends lie together; a file may link roads that do not touch."""
+    """The lanes wide enough to drive, and the links whose two ends lie together; a file may link roads far apart."""
 
     def end(key: Key, last: bool) -> Floats:
         return shapes[key[:2]].end(key[2], -1 if (key[2] < 0) == last else 0)
 
+    wide = {key for key in links if float(shapes[key[:2]].width(key[2]).max()) >= NARROWEST}
     return {
-        key: [n for n in targets if float(np.abs(end(key, True) - end(n, False)).max()) < TOUCHING]
-        for key, targets in links.items()
+        key: [n for n in links[key] if n in wide and float(np.abs(end(key, True) - end(n, False)).max()) < TOUCHING]
+        for key in links
+        if key in wide
     }
 
 
@@ -177,7 +181,7 @@ def _draft(document: Document, shapes: Shapes, chain: tuple[Key, ...]) -> Draft:
         keys=chain,
         begins=tuple(begins),
         points=np.concatenate(parts),
-        width=float(np.median(np.concatenate(widths))),
+        width=max(float(np.quantile(np.concatenate(widths), 0.75)), NARROWEST),
         nominal=road.limit(road.sections[chain[0][1]].start),
         junction=road.junction,
         left_marking=_marking(document, chain, outer=False),

@@ -27,6 +27,8 @@ COLOURS = (
 STYLES = 4
 ISLAND = 1500.0
 """Square metres; nobody builds on a smaller patch between lanes."""
+DOORSTEP = 6.0
+"""Metres from the road's edge that are inside any house of a row."""
 CLEAR = 1.0
 """Metres kept free around a building."""
 
@@ -71,8 +73,13 @@ def _row(side: Roadside, rng: np.random.Generator, ground: Footprint) -> list[Bu
     """Houses one after another, 2 to 5 m behind the sidewalk."""
     row: list[Building] = []
     at = float(rng.uniform(0.0, 6.0))
+    room = np.flatnonzero(ground.is_free(side.points + DOORSTEP * side.outward)) * SPACING
     while at < side.length:
         width, depth = float(rng.uniform(9.0, 24.0)), float(rng.uniform(8.0, 18.0))
+        ahead = room[np.searchsorted(room, at + width / 2) :]
+        if not len(ahead):
+            break
+        at = max(at, float(ahead[0]) - width / 2)
         house = _house(side, at + width / 2, (width, depth), float(rng.uniform(2.0, 5.0)), rng, ground)
         if house is None:
             at += 4.0
