@@ -171,7 +171,8 @@ _BOUNDS = {
 def _describe(detail: ErrorDetails, path: Path, model: type[BaseModel], data: Any) -> Fault:
     kind, context, value = detail["type"], detail.get("ctx", {}), detail["input"]
     if kind == "missing":
-        return Fault(path, f"'{path[-1]}' is missing", missing=True)
+        entry = f"entry {path[-1]}" if isinstance(path[-1], int) else f"'{path[-1]}'"
+        return Fault(path, f"{entry} is missing", missing=True)
     if kind == "union_tag_not_found":
         return Fault(path, "'kind' is missing", missing=True)
     if kind == "extra_forbidden":
