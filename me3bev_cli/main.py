@@ -9,6 +9,7 @@ from typer.core import TyperGroup
 
 from me3bev_cli import __version__
 from me3bev_cli.commands import bench_latency, plugins, recipe, train
+from me3bev_cli.commands import eval as evaluation
 from me3bev_cli.errors import UserError
 
 HELPERS = "Helpers"
@@ -72,6 +73,7 @@ def _options(
 
 
 app.command()(train.train)
+app.command("eval")(evaluation.evaluate)
 app.command()(bench_latency.bench_latency)
 app.add_typer(recipe.app, name="recipe", rich_help_panel=HELPERS)
 app.command(rich_help_panel=HELPERS)(plugins.plugins)

@@ -1,0 +1,82 @@
+"""Comfort as Bench2Drive defines it: the share of two-second segments that stay inside six bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SEGMENT = 20
+"""Frames of a segment; what remains at the end of an episode is dropped."""
+WINDOW, ORDER = 7, 2
+"""Of the Savitzky-Golay filter."""
+
+
+BOUNDS = {
+    "longitudinal acceleration": (-4.05, 2.40),  # m/s^2
+    "lateral acceleration": (-4.89, 4.89),  # m/s^2
+    "jerk": (-8.37, 8.37),  # magnitude of the vector, m/s^3
+    "longitudinal jerk": (-4.13, 4.13),  # m/s^3
+    "yaw rate": (-0.95, 0.95),  # rad/s
+    "yaw acceleration": (-1.93, 1.93),  # rad/s^2
+}
+"""Open intervals that every frame of a comfortable segment stays in."""
+
+
+def savitzky_golay(values: Floats, spacing: float = 1.0, derivative: int = 0) -> Floats:
+    """Local least-squares parabola: its value or first derivative at each sample.
+
+    Each sample is judged by the window of `WINDOW` around it; the first and last three by the first and the
+    last whole window.
+
+    Args:
+        values: (T,) with T >= `WINDOW`, evenly spaced.
+        spacing: between two samples.
+        derivative: 0 or 1.
+    """
+    half = WINDOW // 2
+    offsets = np.arange(-half, half + 1, dtype=np.float64)
+    # Row k of `fit` gives the coefficient of offset^k of the parabola through a window.
+    fit = np.linalg.pinv(np.vander(offsets, ORDER + 1, increasing=True))
+    centre = np.clip(np.arange(len(values)), half, len(values) - 1 - half)
+    at = np.arange(len(values)) - centre
+    windows = values[centre[:, None] + np.arange(-half, half + 1)]
+    coefficients = windows @ fit.T
+    if derivative == 0:
+        return np.asarray(coefficients[:, 0] + coefficients[:, 1] * at + coefficients[:, 2] * at**2)
+    return np.asarray((coefficients[:, 1] + 2 * coefficients[:, 2] * at) / spacing)
+
+
+def motion(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, spacing: float) -> dict[str, Floats]:
+    """The smoothed quantities of one segment, each (T,), named as in `BOUNDS`.
+
+    Accelerations (m/s^2) and yaw rate (rad/s) are in the vehicle's frame; their derivatives come from the same
+    local parabolas.
+    """
+    jerk_x = savitzky_golay(longitudinal, spacing, 1)
+    jerk_y = savitzky_golay(lateral, spacing, 1)
+    return {
+        "longitudinal acceleration": savitzky_golay(longitudinal),
+        "lateral acceleration": savitzky_golay(lateral),
+        "jerk": np.hypot(jerk_x, jerk_y),
+        "longitudinal jerk": jerk_x,
+        "yaw rate": savitzky_golay(yaw_rate),
+        "yaw acceleration": savitzky_golay(yaw_rate, spacing, 1),
+    }
+
+
+def comfortable(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, spacing: float) -> bool:
+    """Whether one segment stays strictly inside all six bounds."""
+    measured = motion(longitudinal, lateral, yaw_rate, spacing)
+    return all(bool(np.all((low < measured[name]) & (measured[name] < high))) for name, (low, high) in BOUNDS.items())
+
+
+def comfortable_share(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, spacing: float) -> float:
+    """The share of comfortable segments; NaN when there is no whole segment."""
+    starts = range(0, len(longitudinal) - SEGMENT + 1, SEGMENT)
+    passed = [
+        comfortable(longitudinal[s : s + SEGMENT], lateral[s : s + SEGMENT], yaw_rate[s : s + SEGMENT], spacing)
+        for s in starts
+    ]
+    return float(np.mean(passed)) if passed else float("nan")

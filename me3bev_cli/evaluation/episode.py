@@ -1,0 +1,138 @@
+"""`Episode`: the log of one drive, typed and compact; everything that is scored is computed from it."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from me3bev_cli.api import StepRecord
+from me3bev_cli.errors import LogError, PluginError
+from me3bev_cli.files import atomic_write_bytes
+
+FORMAT = 1
+"""Version of the file format, kept in the header."""
+
+COLLISIONS = ("", "vehicle", "pedestrian", "static")
+"""What `StepRecord.collision` may say."""
+
+Ending = Literal["finished", "collision", "timeout", "stopped"]
+"""Why an episode ended: at the end of its route, at a collision, cut off at the horizon, or by the simulator for
+another reason."""
+
+_TYPES = {float: "<f8", bool: "?", str: "<U10"}
+STEP_DTYPE = np.dtype([(name, _TYPES[kind]) for name, kind in get_type_hints(StepRecord).items()])
+"""One step as it is kept: a field for each of `StepRecord`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One drive.
+
+    Args:
+        map, density: where.
+        seed: what the environment was reset with.
+        index: of the episode within its cell of map and density.
+        driver: who drove.
+        ended: why it ended.
+        steps: (T,) of `STEP_DTYPE`, at least one.
+    """
+
+    map: str
+    density: str
+    seed: int
+    index: int
+    driver: str
+    ended: Ending
+    steps: NDArray[Any] = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """A column (T,), named as in `StepRecord`."""
+        column: NDArray[Any] = self.steps[name]
+        return column
+
+    @property
+    def finished(self) -> bool:
+        """Whether the route was driven to its end."""
+        return self.ended == "finished"
+
+    @property
+    def step_seconds(self) -> float:
+        """Time between two steps, s."""
+        return float(self["time"][-1]) / len(self)
+
+    @property
+    def file_name(self) -> str:
+        """A name that no other episode of the same evaluation has."""
+        return f"{self.map}-{self.density}-{self.index:05d}.npz"
+
+    def save(self, path: Path) -> None:
+        """Write the log, whole or not at all. The same episode gives the same bytes."""
+        header = {key: value for key, value in vars(self).items() if key != "steps"} | {"format": FORMAT}
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, header=np.array(json.dumps(header)), steps=self.steps)
+        atomic_write_bytes(path, buffer.getvalue())
+
+
+def ending(records: Sequence[StepRecord], *, terminated: bool) -> Ending:
+    """Why an episode ended, from its records and gymnasium's flag."""
+    last = records[-1]
+    if last["collision"]:
+        return "collision"
+    if not terminated:
+        return "timeout"
+    return "finished" if last["route_done"] >= last["route_length"] else "stopped"
+
+
+def from_records(
+    records: Sequence[StepRecord], *, map: str, density: str, seed: int, index: int, driver: str, ended: Ending
+) -> Episode:
+    """The episode of what an environment reported.
+
+    Raises:
+        PluginError: the simulator's records lack a field or hold something else in it.
+    """
+    try:
+        steps = np.array([tuple(record[name] for name in STEP_DTYPE.names or ()) for record in records], STEP_DTYPE)  # type: ignore[literal-required]
+    except KeyError as error:
+        raise PluginError(f"the simulator's info['record'] lacks {error}", hint="StepRecord lists the fields") from None
+    except (TypeError, ValueError) as error:
+        raise PluginError(f"the simulator's info['record'] is not a StepRecord: {error}") from None
+    odd = set(steps["collision"].tolist()) - set(COLLISIONS)
+    if odd:
+        names = ", ".join(repr(name) for name in COLLISIONS)
+        raise PluginError(f"the simulator reports the collision '{min(odd)}'", allowed=names)
+    return Episode(map, density, seed, index, driver, ended, steps)
+
+
+def load(path: Path) -> Episode:
+    """The episode in a file that `Episode.save` wrote.
+
+    Raises:
+        LogError: it is missing, truncated, damaged or of a newer format.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            header, steps = json.loads(str(file["header"])), file["steps"]
+    except FileNotFoundError:
+        raise LogError("there is no such log", where=str(path)) from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise LogError(f"the log is damaged or truncated ({error})", where=str(path)) from error
+    if not isinstance(header, dict) or header.pop("format", None) != FORMAT:
+        raise LogError("the log has a format that this version does not read", where=str(path), allowed=str(FORMAT))
+    if steps.dtype != STEP_DTYPE or steps.ndim != 1 or not len(steps) or header.get("ended") not in get_args(Ending):
+        raise LogError("the log does not hold an episode's steps", where=str(path))
+    try:
+        return Episode(**header, steps=steps)
+    except TypeError as error:
+        raise LogError(f"the log's header is not an episode's ({error})", where=str(path)) from None

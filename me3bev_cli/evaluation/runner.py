@@ -1,0 +1,186 @@
+"""Plays episodes: the same seed gives the same numbers, for any number of workers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from me3bev_cli import registry
+from me3bev_cli.evaluation.drivers import Driver, DriverSpec
+from me3bev_cli.evaluation.episode import Episode, ending, from_records
+from me3bev_cli.parallel import run_jobs
+from me3bev_cli.seeding import derive_seed
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from me3bev_cli.api import ObservationConfig, SimulatorPlugin, StepRecord
+    from me3bev_cli.recipe import PluginChoice
+
+CHUNK = 4
+"""Episodes that one environment plays, at most. It does not depend on the number of workers."""
+CAPTURE_STEP = 40
+"""The snapshot is taken after this many steps, or at the end of a shorter episode."""
+
+
+def episode_seed(seed: int, map: str, density: str, index: int) -> int:
+    """The seed of an evaluation's episode. No training plays it, whatever its recipe's seed."""
+    return derive_seed("evaluation", seed, map, density, index)
+
+
+@dataclass(frozen=True)
+class World:
+    """What is driven in: a simulator by name with its settings, and what is observed."""
+
+    simulator: PluginChoice
+    observation: ObservationConfig
+
+    def open(self) -> SimulatorPlugin:
+        """The simulator.
+
+        Raises:
+            PluginError: it is not installed or does not import.
+        """
+        plugin = registry.load("simulator", self.simulator.name)
+        simulator: SimulatorPlugin = plugin(plugin.Config(**self.simulator.settings))
+        return simulator
+
+
+class Job(NamedTuple):
+    """Some episodes of one cell."""
+
+    map: str
+    density: str
+    indices: tuple[int, ...]
+    capture: bool = False
+    """Whether to take a snapshot of the first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One instant as it was seen."""
+
+    map: str
+    density: str
+    step: int
+    cameras: tuple[str, ...]
+    images: NDArray[np.uint8]
+    """(C, 3, H, W)."""
+    bev: NDArray[np.uint8]
+    """(X, Y), classes as `api.BEV_CLASSES`."""
+
+
+class Played(NamedTuple):
+    """What a job gives."""
+
+    episodes: list[Episode]
+    snapshot: Snapshot | None
+
+
+@dataclass
+class Player:
+    """Plays jobs in one process; simulator and driver are made at the first and kept."""
+
+    world: World
+    spec: DriverSpec
+    seed: int
+    _simulator: SimulatorPlugin | None = field(default=None, init=False, repr=False)
+    _driver: Driver | None = field(default=None, init=False, repr=False)
+
+    def __call__(self, job: Job) -> Played:
+        self._driver = self._driver or self.spec.make()
+        self._simulator = self._simulator or self.world.open()
+        env = self._simulator.make_env(self.world.observation, map=job.map, density=job.density, images=self.spec.looks)
+        try:
+            episodes = [self._episode(env, self._driver, job, index) for index in job.indices]
+        finally:
+            env.close()
+        return Played(episodes, self._snapshot(job, episodes[0]) if job.capture else None)
+
+    def _episode(self, env: gymnasium.Env[Any, Any], driver: Driver, job: Job, index: int) -> Episode:
+        seed = episode_seed(self.seed, job.map, job.density, index)
+        records, terminated = drive(env, driver, seed)
+        return from_records(
+            records,
+            map=job.map,
+            density=job.density,
+            seed=seed,
+            index=index,
+            driver=self.spec.label,
+            ended=ending(records, terminated=terminated),
+        )
+
+    def _snapshot(self, job: Job, episode: Episode) -> Snapshot:
+        """Drive the first part of an episode again with the cameras on."""
+        assert self._simulator is not None
+        assert self._driver is not None
+        observation = self.world.observation
+        env = self._simulator.make_env(observation, map=job.map, density=job.density, images=True)
+        try:
+            seen, _ = env.reset(seed=episode.seed)
+            self._driver.begin(env, episode.seed)
+            steps = min(CAPTURE_STEP, len(episode) - 1)
+            for _ in range(steps):
+                seen = env.step(self._driver.act(seen, env))[0]
+            bev = np.array(env.unwrapped.bev_semantics())  # type: ignore[attr-defined]
+            return Snapshot(job.map, job.density, steps, observation.cameras, np.array(seen["images"]), bev)
+        finally:
+            env.close()
+
+
+def drive(env: gymnasium.Env[Any, Any], driver: Driver, seed: int) -> tuple[list[StepRecord], bool]:
+    """Play one episode; returns its records and whether the environment terminated it."""
+    observation, _ = env.reset(seed=seed)
+    driver.begin(env, seed)
+    records: list[StepRecord] = []
+    while True:
+        observation, _, terminated, truncated, info = env.step(driver.act(observation, env))
+        records.append(info["record"])
+        if terminated or truncated:
+            return records, terminated
+
+
+def plan(maps: Sequence[str], densities: Sequence[str], episodes: int, capture: bool = False) -> list[Job]:
+    """The jobs of an evaluation, cell by cell; the very first episode may be captured."""
+    jobs = [
+        Job(map, density, tuple(range(first, min(first + CHUNK, episodes))))
+        for density in densities
+        for map in maps
+        for first in range(0, episodes, CHUNK)
+    ]
+    if capture and jobs:
+        jobs[0] = jobs[0]._replace(capture=True)
+    return jobs
+
+
+def evaluate(
+    player: Player,
+    jobs: Sequence[Job],
+    workers: int,
+    on_episodes: Callable[[Sequence[Episode]], None] | None = None,
+    on_death: Callable[[int, int], None] | None = None,
+) -> tuple[list[Episode], Snapshot | None]:
+    """Play every job.
+
+    Args:
+        player: who drives, where, with which seed.
+        jobs: as `plan` makes them.
+        workers: processes, as in `parallel.run_jobs`.
+        on_episodes: called with each job's episodes as it finishes, in any order.
+        on_death: called when a worker died, as in `parallel.run_jobs`.
+
+    Returns:
+        The episodes in the order of the jobs, and the snapshot if a job took one.
+    """
+
+    def report(_: int, played: Played) -> None:
+        if on_episodes is not None:
+            on_episodes(played.episodes)
+
+    played = run_jobs(player, jobs, workers, report, on_death)
+    snapshots = [p.snapshot for p in played if p.snapshot is not None]
+    return [e for p in played for e in p.episodes], snapshots[0] if snapshots else None
