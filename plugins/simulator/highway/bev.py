@@ -8,14 +8,16 @@ from numpy.typing import NDArray
 
 from me3bev_cli.api import BEV_CLASSES
 from me3bev_plugins.simulator.highway.camera_things import BUILDING, PEDESTRIAN, VEHICLE, Gathering
+from me3bev_plugins.simulator.highway.ground_tiles import MIX_PARTS, Paint, Tiles, lookup, lookup_mip
 from me3bev_plugins.simulator.highway.ground_tiles import SEMANTIC as GROUND_SEMANTIC
-from me3bev_plugins.simulator.highway.ground_tiles import Tiles, lookup
 from me3bev_plugins.simulator.highway.raster import COS, LENGTH, SEMANTIC, SIN, WIDTH, Things, X, Y
 from me3bev_plugins.simulator.highway.scene import Scene
 
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 
+_ENOUGH = 10
+"""Paint that makes a cell marking or crosswalk, of 72 (nine samples in eighths)."""
 _MARKING, _CROSSWALK = BEV_CLASSES.index("lane_marking"), BEV_CLASSES.index("crosswalk")
 
 
@@ -23,8 +25,8 @@ def bev_semantics(scene: Scene, cells: int = 200, cell: float = 0.5) -> Bytes:
     """The classes (cells, cells) around the ego, as `BEV_CLASSES`; the ego itself is not drawn.
 
     Row 0 is farthest ahead, column 0 farthest left; the ego stands in the middle. A cell takes the class at
-    its centre; it is lane marking (or crosswalk) already when paint covers two of its nine ninths, since lines
-    are narrower than cells. It is building, vehicle or pedestrian when its centre is inside one's box; the
+    its centre; it is lane marking (or crosswalk) already when paint covers a seventh of it, since lines are narrower
+    than cells. It is building, vehicle or pedestrian when its centre is inside one's box; the
     cell under a pedestrian's centre always is pedestrian.
 
     Args:
@@ -40,29 +42,45 @@ def bev_semantics(scene: Scene, cells: int = 200, cell: float = 0.5) -> Bytes:
     return out
 
 
+def _paint_shares(paints: tuple[Paint, ...]) -> NDArray[np.int64]:
+    """(CODES,) eighths of a cell that are one of `paints`."""
+    first, second, eighths = MIX_PARTS.T
+    chosen = [int(paint) for paint in paints]
+    return np.where(np.isin(first, chosen), 8 - eighths, 0) + np.where(np.isin(second, chosen), eighths, 0)
+
+
+_LINES = _paint_shares((Paint.WHITE, Paint.YELLOW))
+_CROSSINGS = _paint_shares((Paint.ZEBRA, Paint.ZEBRA_GAP))
+
+
 @njit(cache=True, error_model="numpy")
 def _sample_ground(tiles: Tiles, town_level: int, pose: Floats, cell: float, out: Bytes) -> None:
+    """Ground classes; paint is measured on nine samples that are together as wide as the cell."""
     cells = out.shape[0]
     index = tiles.table[town_level]
+    level = 0
+    while level < 5 and tiles.cell * 2 ** (level + 1) <= 0.5 * cell:
+        level += 1
+    x_step, y_step = pose[2] * cell / 3 / tiles.cell, pose[3] * cell / 3 / tiles.cell
     for row in range(cells):
         for column in range(cells):
-            markings, crossings, middle = 0, 0, 0
-            for k in range(9):
-                x = (0.5 * cells - row - 0.5 - (k // 3 - 1) / 3) * cell
-                y = (0.5 * cells - column - 0.5 - (k % 3 - 1) / 3) * cell
-                wx = pose[0] + pose[2] * x - pose[3] * y - tiles.origin[0]
-                wy = pose[1] + pose[3] * x + pose[2] * y - tiles.origin[1]
-                at = lookup(index, tiles.data, int(np.floor(wy / tiles.cell)), int(np.floor(wx / tiles.cell)))
-                found = GROUND_SEMANTIC[at]
-                markings += found == _MARKING
-                crossings += found == _CROSSWALK
-                if k == 4:
-                    middle = found
-            if crossings >= 2:
-                middle = _CROSSWALK
-            elif markings >= 2:
-                middle = _MARKING
-            out[row, column] = middle
+            x, y = (0.5 * cells - row - 0.5) * cell, (0.5 * cells - column - 0.5) * cell
+            east = (pose[0] + pose[2] * x - pose[3] * y - tiles.origin[0]) / tiles.cell
+            north = (pose[1] + pose[3] * x + pose[2] * y - tiles.origin[1]) / tiles.cell
+            lines, crossings = 0, 0
+            for i in range(-1, 2):
+                for j in range(-1, 2):
+                    e, n = east + i * x_step - j * y_step, north + i * y_step + j * x_step
+                    code = lookup_mip(index, tiles.data, int(np.floor(n)), int(np.floor(e)), level)
+                    lines += _LINES[code]
+                    crossings += _CROSSINGS[code]
+            if crossings >= _ENOUGH:
+                out[row, column] = _CROSSWALK
+            elif lines >= _ENOUGH:
+                out[row, column] = _MARKING
+            else:
+                at = lookup(index, tiles.data, int(np.floor(north)), int(np.floor(east)))
+                out[row, column] = GROUND_SEMANTIC[at]
 
 
 @njit(cache=True, error_model="numpy")

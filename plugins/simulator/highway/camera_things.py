@@ -45,6 +45,8 @@ Ints = NDArray[np.int64]
 BLOCK = 32.0
 """Side of the grid's squares, metres."""
 ACTOR_RANGE = 140.0
+REPEATER = 2.6
+"""Height of the second, lower head of a signal: who waits at a stop line does not see the upper one, metres."""
 BUILDING, VEHICLE, PEDESTRIAN = (BEV_CLASSES.index(name) for name in ("building", "vehicle", "pedestrian"))
 _KIND_MOTORCYCLE, _KIND_TRUCK, _KIND_PEDESTRIAN = int(Kind.MOTORCYCLE), int(Kind.TRUCK), int(Kind.PEDESTRIAN)
 _SHAPE_STRIDE, _SHAPE_SIGNAL = int(Shape.STRIDE), int(Shape.SIGNAL)
@@ -142,14 +144,9 @@ def _add_signal(packer: _Packer, town: Town, signal: Signal) -> None:
     ground = float(town.lanes[signal.lanes[0]].points[-1, 2]) if signal.lanes else 0.0
     height = float(np.clip(signal.position[2] - ground, 2.4, 7.5))
     size = (0.4, 0.62, 1.5)
-    packer.add(
-        Shape.SIGNAL,
-        (float(head[0]), float(head[1])),
-        signal.heading,
-        size,
-        base=height - 0.5 * size[2],
-        identity=signal.id,
-    )
+    for level in (height, REPEATER) if height > REPEATER + size[2] else (height,):
+        place = (float(head[0]), float(head[1]))
+        packer.add(Shape.SIGNAL, place, signal.heading, size, base=level - 0.5 * size[2], identity=signal.id)
     tiles = ground_of(town).tiles
     foot = head + 0.35 * forward
     for step in np.arange(0.0, 16.0, 0.5):

@@ -66,6 +66,7 @@ def _mix_codes() -> tuple[Bytes, NDArray[np.int64]]:
     return table, np.array(parts, np.int64)
 
 
+_FIRST_PAINT, _LAST_PAINT = int(Paint.WHITE), int(Paint.ZEBRA)
 MIX, MIX_PARTS = _mix_codes()
 CODES = len(MIX_PARTS)
 
@@ -206,16 +207,20 @@ def fill_tiles(
 
 @njit(cache=True, error_model="numpy")
 def _mixed(counts: NDArray[np.int32], mix: Bytes) -> np.uint8:
-    """The code of the two commonest classes in their proportion."""
-    best, second = 0, -1
+    """The code of the commonest class and the next one in their proportion; paint goes before other ground."""
+    best = 0
     for k in range(1, len(counts)):
         if counts[k] > counts[best]:
-            best, second = k, best
-        elif counts[k] > 0 and (second < 0 or counts[k] > counts[second]):
+            best = k
+    second = best
+    for k in range(len(counts)):
+        weight = counts[k] * (8 if _FIRST_PAINT <= k <= _LAST_PAINT else 1)
+        other = counts[second] * (8 if _FIRST_PAINT <= second <= _LAST_PAINT else 1)
+        if k != best and (second == best or weight > other) and counts[k] > 0:
             second = k
-    if second < 0 or counts[second] == 0:
+    if second == best:
         return np.uint8(best)
-    total = counts[best] + counts[second]
+    total = counts.sum()
     eighths = (16 * counts[second] + total) // (2 * total)
     return np.uint8(mix[best, second, eighths])
 
@@ -227,3 +232,13 @@ def lookup(index: NDArray[np.int32], data: Bytes, row: int, column: int) -> np.u
     if ty < 0 or tx < 0 or ty >= index.shape[0] or tx >= index.shape[1]:
         return np.uint8(0)
     return np.uint8(data[index[ty, tx] * RECORD + ((row & 31) << 5) + (column & 31)])
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def lookup_mip(index: NDArray[np.int32], data: Bytes, row: int, column: int, level: int) -> np.uint8:
+    """The code of the mip cell that holds a cell; grass outside the raster."""
+    ty, tx = row >> 5, column >> 5
+    if ty < 0 or tx < 0 or ty >= index.shape[0] or tx >= index.shape[1]:
+        return np.uint8(0)
+    at = (((row & 31) >> level) << (5 - level)) + ((column & 31) >> level)
+    return np.uint8(data[index[ty, tx] * RECORD + OFFSETS[level] + at])
