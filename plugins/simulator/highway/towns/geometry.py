@@ -209,10 +209,16 @@ def arcs(pose: Pose, *runs: tuple[float, float]) -> Path:
     return Path(tuple(pieces))
 
 
-def bulb(pose: Pose, flare: float, radius: float) -> Path:
-    """A turnaround: from `pose` a bend right, a loop to the left and a bend right, back to where it began."""
-    angle = math.acos(flare / (flare + radius))
-    return arcs(pose, (flare * angle, -flare), (radius * (math.pi + 2 * angle), radius), (flare * angle, -flare))
+def bulb(pose: Pose, flare: float, radius: float, gap: float = 0.0) -> Path:
+    """A turnaround: from `pose` a bend right, a loop to the left and a bend right, back to where it began.
+
+    With a `gap` it begins that many metres to the right of `pose` and ends as far to the left, so that those who
+    leave it do not touch those who enter.
+    """
+    x, y, heading = pose
+    start = (x + gap * math.sin(heading), y - gap * math.cos(heading), heading)
+    angle = math.acos((flare + gap) / (flare + radius))
+    return arcs(start, (flare * angle, -flare), (radius * (math.pi + 2 * angle), radius), (flare * angle, -flare))
 
 
 def crossing(one: Path, other: Path, hint: Point) -> Point:

@@ -53,7 +53,7 @@ def _streets() -> tuple[Street, ...]:
         ),
         Street("top", polyline((84, 75), (151, 74)), STREET, 30, climbs=(((84, 75), HILL),)),
         Street("close", polyline((242, -60), (102, -60)), STREET, 30),
-        Street("bulb", bulb((102, -60, math.pi), 20, 13), LANE, 30),
+        Street("bulb", bulb((102, -60, math.pi), 20, 13, 1.75), LANE, 30),
         Street("slip", polyline((0, -160), (-36, -172, 40), (-58, -192)), LANE, 40),
     )
 
@@ -82,7 +82,7 @@ def _nodes() -> tuple[Node, ...]:
         Node("collector and west street", (-147, 0), "stop"),
         Node("collector and diagonal", (-147, -58), "yield"),
         Node("collector and close", (169, -60), "stop"),
-        Node("bulb", (102, -60)),
+        Node("bulb", (102, -60), reach=2.5),
         Node("slip off", (0, -160), banned=(("south avenue", "left"),)),
         Node("slip on", (-58, -192), "yield", reach=2.5, banned=(("slip", "left"),)),
     )
