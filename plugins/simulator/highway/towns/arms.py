@@ -108,11 +108,13 @@ def part(arms: list[Arm]) -> None:
         for other in arms:
             narrower = arm.street.section.forward < other.street.section.forward
             if narrower and arm.street is not other.street and math.cos(arm.root - other.root) > 0.8:
+                floor, arm.trim = arm.trim, 0.0
                 while (reach := _along(arm, other)) is not None:
                     arm.trim += 0.5
                     other.trim = max(other.trim, reach + 0.5)
                     if arm.trim > 150:
                         raise ValueError(f"streets {arm.street.name} and {other.street.name} never part")
+                arm.trim = max(arm.trim, floor)
 
 
 def _along(arm: Arm, other: Arm) -> float | None:

@@ -85,10 +85,10 @@ def _targets(node: Node, arms: list[Arm], source: int) -> list[tuple[float, int]
     out, street = [], arms[source].street
     for target, arm in enumerate(arms):
         angle = turn(arms, source, target)
-        back = arm.street is street and abs(angle) > STRAIGHT
+        loop = arm.street is street and not street.section.backward and abs(angle) > STRAIGHT
         side: Literal["left", "right"] = "left" if angle > 0 else "right"
         banned = arm.street is not street and (street.name, side) in node.banned
-        if target != source and arm.leaving() and abs(angle) < U_TURN and not back and not banned:
+        if target != source and arm.leaving() and abs(angle) < U_TURN and not loop and not banned:
             out.append((angle, target))
     return sorted(out, reverse=True)
 

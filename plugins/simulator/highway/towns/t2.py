@@ -17,7 +17,7 @@ def layout() -> Layout:
 
 
 def _streets() -> tuple[Street, ...]:
-    outline = polyline((0, 0, 13), (SIDE, 0, 13), (SIDE, SIDE, 13), (0, SIDE, 13), closed=True)
+    outline = polyline((0, 0, 12), (SIDE, 0, 12), (SIDE, SIDE, 12), (0, SIDE, 12), closed=True)
     zones = (
         ((80.0, 0.0), 60.0),
         ((160.0, 0.0), 30.0),

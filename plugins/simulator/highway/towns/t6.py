@@ -3,6 +3,8 @@ cross street with lights that ends in turnarounds."""
 
 from __future__ import annotations
 
+import math
+
 from me3bev_plugins.simulator.highway.towns.geometry import Path, polyline
 from me3bev_plugins.simulator.highway.towns.streets import Layout, Node, Section, Street
 
@@ -11,6 +13,7 @@ CROSS = Section(3, 0, shoulder=0.5, sidewalk=0)
 RAMP, CROSSOVER = (Section(n, 0, shoulder=1.0, sidewalk=0) for n in (1, 2))
 NORTH, UPPER, LOWER, SOUTH = 18.0, -45.0, -143.0, -244.0
 EAST, WEST = 666.0, -366.0
+NECKS = (-326.0, 88.0)
 SIDE = 5.25
 """From the middle of five lanes to the middle of the outer two."""
 EDGE = 7.0
@@ -26,19 +29,24 @@ def _carriageways() -> tuple[Street, ...]:
     outer_east = polyline((0, SOUTH), (EAST, SOUTH, 62), (EAST, NORTH, 50), (0, NORTH))
     outer_west = polyline((0, NORTH), (WEST, NORTH, 100), (WEST, SOUTH, 60), (0, SOUTH))
     inner = polyline((0, LOWER), (-320, LOWER, 48), (-320, UPPER, 48), (0, UPPER))
-    cross = polyline(
-        *((8, -340, 60), (8, 108, 60), (14.5, 128, 25), (14.5, 147, 14), (-14.5, 147, 14), (-14.5, 128, 25)),
-        *((-8, 108, 60), (-8, -340, 60), (-14.5, -366, 50), (-14.5, -408, 14), (14.5, -408, 14), (14.5, -366, 50)),
-        closed=True,
-    )
     return (
         Street("outer east", outer_east, FIVE, 60, kind="motorway"),
         Street("outer west", outer_west, FOUR, 90, kind="motorway"),
         Street("inner", inner, FOUR, 40, kind="motorway"),
         Street("upper", polyline((0, UPPER), (EAST, UPPER)), FIVE, 60, kind="motorway"),
         Street("lower", polyline((0, LOWER), (EAST, LOWER)), FIVE, 40, kind="motorway"),
-        Street("cross street", cross, CROSS, 30),
+        Street("northward", polyline((8, NECKS[0]), (8, NECKS[1])), CROSS, 40),
+        Street("southward", polyline((-8, NECKS[1]), (-8, NECKS[0])), CROSS, 40),
+        Street("north end", _turnaround(8, NECKS[1], 128, 147), CROSS, 30),
+        Street("south end", _turnaround(-8, NECKS[0], -366, -408), CROSS, 30),
     )
+
+
+def _turnaround(x: float, neck: float, widen: float, far: float) -> Path:
+    """From x at the neck round the far end, counter-clockwise, to -x at the neck."""
+    wide = math.copysign(14.5, x)
+    side = [(x, neck), (x, (neck + widen) / 2, 40), (wide, widen, 25), (wide, far, 14)]
+    return polyline(*side, *((-p[0], *p[1:]) for p in reversed(side)))
 
 
 def _loop(x: float, bend: float, low: float, high: float, radius: float) -> Path:
@@ -46,14 +54,19 @@ def _loop(x: float, bend: float, low: float, high: float, radius: float) -> Path
     return polyline((x, low), (bend, low, radius), (bend, high, radius), (x, high))
 
 
+def _hook(x: float, bend: float, low: float, high: float, radius: float) -> Path:
+    """From (x, low) round to x = bend and straight up to the middle of the carriageway at y = high."""
+    return polyline((x, low), (bend, low, radius), (bend, high))
+
+
 def _ramps() -> tuple[Street, ...]:
     def ramp(name: str, path: Path, section: Section = RAMP) -> Street:
         return Street(name, path, section, 40, kind="motorway")
 
     return (
-        ramp("west crossover", _loop(-105, -152, NORTH - 3.5, UPPER + 3.5, 20), CROSSOVER),
-        ramp("middle crossover", _loop(100, 147, UPPER + SIDE, NORTH - SIDE, 20), CROSSOVER),
-        ramp("east crossover", _loop(475, 522, UPPER + EDGE, NORTH - EDGE, 20)),
+        ramp("west crossover", _hook(-105, -152, NORTH - 3.5, UPPER, 20), CROSSOVER),
+        ramp("middle crossover", _hook(100, 147, UPPER + SIDE, NORTH, 20), CROSSOVER),
+        ramp("east crossover", _hook(475, 522, UPPER + EDGE, NORTH, 20)),
         ramp("turn north", _loop(-130, -74, SOUTH + SIDE, LOWER - SIDE, 38)),
         ramp("turn south", _loop(-190, -248, LOWER - SIDE, SOUTH + SIDE, 38)),
         ramp("long link", _slant((60, LOWER + EDGE), 105, 205, (262, UPPER - EDGE), 120)),
@@ -72,6 +85,7 @@ def _nodes() -> tuple[Node, ...]:
         Node(f"cross street {y:.0f}", (0, y), "signal", reach=9.5, radius=8, crosswalks=True)
         for y in (NORTH, UPPER, LOWER, SOUTH)
     )
+    necks = tuple(Node(f"neck {y:.0f}", (0, y), reach=9.5) for y in NECKS)
     ends = (
         Node("upper end", (EAST, UPPER), "signal", radius=14),
         Node("lower end", (EAST, LOWER), "signal", radius=14),
@@ -93,5 +107,5 @@ def _nodes() -> tuple[Node, ...]:
         start, end = paths[ramp].pose(0.0)[:2], paths[ramp].pose(paths[ramp].length)[:2]
         control = "signal" if (ramp, target) in lit else "yield"
         ramps.append(Node(f"{source} to {ramp}", start, streets=(source, ramp), reach=9, radius=15))
-        ramps.append(Node(f"{ramp} to {target}", end, control, streets=(ramp, target), reach=9, radius=15))
-    return (*cross, *ends, *ramps)
+        ramps.append(Node(f"{ramp} to {target}", end, control, streets=(ramp, target), reach=9, radius=12))
+    return (*cross, *necks, *ends, *ramps)

@@ -32,7 +32,31 @@ def layout() -> Layout:
 
 
 def _streets() -> tuple[Street, ...]:
-    loop = polyline(*SOUTH_WEST, *EAST, *NORTH, *WEST, closed=True)
+    return (
+        _loop(),
+        Street("spine", polyline((0, 243), (0, 132)), COUNTRY, 40, kind="rural"),
+        Street("high street", polyline((0, 132), (0, -60)), VILLAGE, 30),
+        Street(
+            "middle", polyline((-74, 160), (-80, 125, 60), (-101, 90, 60), (-101, -40, 200), (-110, -117)), COUNTRY, 30
+        ),
+        Street("north road", polyline((-200, 162), (0, 159)), COUNTRY, 40, kind="rural"),
+        Street("green", polyline((-89, 108), (0, 107)), VILLAGE, 30),
+        Street("lay-by", polyline((-20, 107), (-20, 88, 9), (-62, 88, 9), (-62, 108)), ONE_WAY, 30),
+        Street("mill road", polyline((-101, 64), (-36, 64.6)), TRACK, 30),
+        Street("mill street", polyline((-36, 64.6), (0, 65)), VILLAGE, 30),
+        Street("church street", polyline((-101, 1), (0, 2, 400), (36, 5.3)), VILLAGE, 30),
+        Street("east road", polyline((36, 5.3), (76, 9)), COUNTRY, 30, kind="rural"),
+        Street("farm road", polyline((-202, 36), (-101, 35)), COUNTRY, 30, kind="rural"),
+        Street("low road", polyline((-204, -50), (-104, -52, 200), (-46, -56.6)), COUNTRY, 40, kind="rural"),
+        Street("low street", polyline((-46, -56.6), (0, -60, 300), (36, -61)), VILLAGE, 30),
+        Street("coast road", polyline((36, -61), (72, -62)), COUNTRY, 40, kind="rural"),
+        Street("yard", polyline((-97, 92), (-150, 95)), TRACK, 30),
+        Street("barn road", polyline((-150, 95), (-150, -51)), COUNTRY, 30, kind="rural"),
+        Street("turnaround", bulb((-150, 95, math.radians(135)), 14, 10), ONE_WAY, 30),
+    )
+
+
+def _loop() -> Street:
     hills = (
         ((76, 40), 0.0),
         ((58, 64), 4.5),
@@ -46,33 +70,16 @@ def _streets() -> tuple[Street, ...]:
         ((-200, 180), 0.0),
     )
     slow = (((-202, -30), 30.0), ((-202, -95), 40.0), ((80, 25), 40.0), ((-200, 120), 30.0), ((88, -38), 30.0))
-    return (
-        Street("loop", loop, LOOP, 40, zones=slow, climbs=hills, kind="rural"),
-        Street("spine", polyline((0, 243), (0, -60)), VILLAGE, 30, zones=(((0, 150), 40.0), ((0, 116), 30.0))),
-        Street(
-            "middle", polyline((-74, 160), (-80, 125, 60), (-101, 90, 60), (-101, -40, 200), (-110, -117)), COUNTRY, 30
-        ),
-        Street("north road", polyline((-200, 162), (0, 159)), COUNTRY, 40, kind="rural"),
-        Street("green", polyline((-89, 108), (0, 107)), VILLAGE, 30),
-        Street("lay-by", polyline((-20, 107), (-20, 88, 9), (-62, 88, 9), (-62, 108)), ONE_WAY, 30),
-        Street("mill road", polyline((-101, 64), (0, 65)), TRACK, 30),
-        Street("church street", polyline((-101, 1), (0, 2, 400), (76, 9)), VILLAGE, 30),
-        Street("farm road", polyline((-202, 36), (-101, 35)), COUNTRY, 30, kind="rural"),
-        Street(
-            "low road", polyline((-204, -50), (-104, -52, 200), (0, -60, 300), (72, -62)), COUNTRY, 40, kind="rural"
-        ),
-        Street("yard", polyline((-97, 92), (-150, 95)), TRACK, 30),
-        Street("barn road", polyline((-150, 95), (-150, -51)), COUNTRY, 30, kind="rural"),
-        Street("turnaround", bulb((-150, 95, math.radians(135)), 14, 10), ONE_WAY, 30),
-    )
+    path = polyline(*SOUTH_WEST, *EAST, *NORTH, *WEST, closed=True)
+    return Street("loop", path, LOOP, 40, zones=slow, climbs=hills, kind="rural")
 
 
 def _nodes() -> tuple[Node, ...]:
     lights = (
         Node("loop and spine", (0, 243), "signal", ("loop", "spine")),
-        Node("spine and church street", (0, 2), "signal", crosswalks=True),
-        Node("loop and church street", (71, 8), "signal", ("loop", "church street")),
-        Node("loop and low road", (68, -62), "signal", ("loop", "low road")),
+        Node("high street and church street", (0, 2), "signal", crosswalks=True),
+        Node("loop and east road", (71, 8), "signal", ("loop", "east road")),
+        Node("loop and coast road", (68, -62), "signal", ("loop", "coast road")),
         Node("middle and low road", (-103, -52), "signal", ("middle", "low road"), crosswalks=True),
     )
     stops = tuple(
@@ -82,8 +89,8 @@ def _nodes() -> tuple[Node, ...]:
             ("barn road", "farm road", (-150, 36)),
             ("middle", "farm road", (-101, 35)),
             ("loop", "low road", (-203, -50)),
-            ("spine", "low road", (0, -60)),
-            ("spine", "mill road", (0, 65)),
+            ("high street", "low street", (0, -60)),
+            ("high street", "mill street", (0, 65)),
         )
     )
     yields = tuple(
@@ -92,7 +99,7 @@ def _nodes() -> tuple[Node, ...]:
             ("loop", "north road", (-200, 162)),
             ("north road", "middle", (-74, 160)),
             ("spine", "north road", (0, 159)),
-            ("spine", "green", (0, 107)),
+            ("high street", "green", (0, 107)),
             ("middle", "green", (-89, 108)),
             ("middle", "yard", (-101, 92)),
             ("middle", "mill road", (-101, 64)),
@@ -103,4 +110,6 @@ def _nodes() -> tuple[Node, ...]:
             ("green", "lay-by", (-62, 108)),
         )
     )
-    return (*lights, *stops, *yields, Node("turnaround", (-150, 95)))
+    changes = ((0, 132), (-36, 64.6), (36, 5.3), (-46, -56.6), (36, -61))
+    gates = tuple(Node(f"village gate {i}", point) for i, point in enumerate(changes, 1))
+    return (*lights, *stops, *yields, *gates, Node("turnaround", (-150, 95)))
