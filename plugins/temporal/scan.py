@@ -4,19 +4,33 @@
 
 Shapes: B batch, T time, E inner width, N state size. States are kept as (B, N, E), so that the long axis
 is the innermost one and each step is a single fused multiply-add over contiguous memory. Nothing of size
-T x B x N x E outlives a call: the backward computes the states again, a few rows at a time, in cache.
+T x B x N x E outlives a call: on a CPU the rows pass a few at a time through work tensors that stay in the
+cache, and the backward computes the states again.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-_CHUNK_ELEMENTS = 1 << 18
-"""Elements of one (T, rows, N, E) work tensor on a CPU: a few of them fit the second-level cache."""
+_CHUNK_ELEMENTS = 1 << 17
+"""Elements of one (T, rows, N, E) work tensor on a CPU: three of them fit a second-level cache."""
+
+
+class _Inputs(NamedTuple):
+    """What the recurrence reads. A is (N, E); the others are per row."""
+
+    x: Tensor
+    delta: Tensor
+    A: Tensor
+    B: Tensor
+    C: Tensor
+    state: Tensor
+    starts: Tensor
 
 
 def selective_scan(
@@ -51,85 +65,81 @@ def scan_step(
 
 class _Scan(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: Any, x: Tensor, delta: Tensor, A: Tensor, B: Tensor, C: Tensor, state: Tensor, starts: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        y, last = torch.empty_like(x), torch.empty_like(state)
-        for rows in _row_chunks(x, A):
-            _, states = _states(x[rows], delta[rows], A, B[rows], state[rows], starts[rows])
-            y[rows] = _read(C[rows], states)
+    def forward(ctx: Any, *args: Tensor) -> tuple[Tensor, Tensor]:
+        inputs = _Inputs(*args)
+        ctx.save_for_backward(*args)
+        y, last = torch.empty_like(inputs.x), torch.empty_like(inputs.state)
+        for rows, (decay, states) in _chunks(inputs, 2):
+            part = _rows(inputs, rows)
+            _run(part, decay, states)
+            y[rows] = torch.matmul(part.C.transpose(0, 1).unsqueeze(-2), states).squeeze(-2).transpose(0, 1)
             last[rows] = states[-1]
-        ctx.save_for_backward(x, delta, A, B, C, state, starts)
         return y, last
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        inputs = _Inputs(*ctx.saved_tensors)
         grad_y, grad_last = grads
-        x, delta, A, B, C, state, starts = ctx.saved_tensors
-        grad_A = torch.zeros_like(A)
-        per_row = [torch.empty_like(t) for t in (x, delta, B, C, state)]
-        for rows in _row_chunks(x, A):
-            inputs = (x[rows], delta[rows], A, B[rows], C[rows], state[rows], starts[rows])
-            *parts, grad_A_rows = _chunk_backward(*inputs, grad_y[rows], grad_last[rows])
-            for whole, part in zip(per_row, parts, strict=True):
-                whole[rows] = part
-            grad_A += grad_A_rows
-        grad_x, grad_delta, grad_B, grad_C, grad_state = per_row
-        return grad_x, grad_delta, grad_A, grad_B, grad_C, grad_state, None
+        grad = _Inputs(*(torch.empty_like(tensor) for tensor in inputs[:-1]), inputs.starts)
+        grad.A.zero_()
+        for rows, work in _chunks(inputs, 3):
+            _chunk_backward(_rows(inputs, rows), grad_y[rows], grad_last[rows], _rows(grad, rows), work)
+        return (*grad[:-1], None)
 
 
 def _chunk_backward(
-    x: Tensor,
-    delta: Tensor,
-    A: Tensor,
-    B: Tensor,
-    C: Tensor,
-    state: Tensor,
-    starts: Tensor,
-    grad_y: Tensor,
-    grad_last: Tensor,
-) -> tuple[Tensor, ...]:
-    """Gradients of x, delta, B, C, state for some rows, and their share of A's."""
-    decay, states = _states(x, delta, A, B, state, starts)
-    grad_yt, Ct, Bt = grad_y.transpose(0, 1), C.transpose(0, 1), B.transpose(0, 1)
+    inputs: _Inputs, grad_y: Tensor, grad_last: Tensor, grad: _Inputs, work: tuple[Tensor, ...]
+) -> None:
+    """Write the gradients of some rows into `grad`, and add their share to A's."""
+    decay, states, g = work
+    _run(inputs, decay, states)
+    grad_y, C, B = grad_y.transpose(0, 1), inputs.C.transpose(0, 1), inputs.B.transpose(0, 1)
     # g_t, the gradient of h_t, flows back through the decay of the frame after it.
-    g = Ct.unsqueeze(-1) * grad_yt.unsqueeze(-2)
+    torch.mul(C.unsqueeze(-1), grad_y.unsqueeze(-2), out=g)
     g[-1] += grad_last
-    for t in range(len(g) - 2, -1, -1):
-        g[t].addcmul_(decay[t + 1], g[t + 1])
-    grad_state = decay[0] * g[0]
-    grad_C = torch.matmul(states, grad_yt.unsqueeze(-1)).squeeze(-1).transpose(0, 1)
-    drive = (delta * x).transpose(0, 1)
-    grad_B = torch.matmul(g, drive.unsqueeze(-1)).squeeze(-1).transpose(0, 1)
-    grad_drive = torch.matmul(Bt.unsqueeze(-2), g).squeeze(-2).transpose(0, 1)
+    later = g[-1]
+    for g_t, decay_after in zip(reversed(g.unbind(0)[:-1]), reversed(decay.unbind(0)[1:]), strict=True):
+        later = g_t.addcmul_(decay_after, later)
+    torch.mul(decay[0], g[0], out=grad.state)
+    grad.C.copy_(torch.matmul(states, grad_y.unsqueeze(-1)).squeeze(-1).transpose(0, 1))
+    drive = inputs.delta * inputs.x
+    grad.B.copy_(torch.matmul(g, drive.transpose(0, 1).unsqueeze(-1)).squeeze(-1).transpose(0, 1))
+    grad_drive = torch.matmul(B.unsqueeze(-2), g).squeeze(-2).transpose(0, 1)
+    torch.mul(grad_drive, inputs.delta, out=grad.x)
     # The gradient of (delta A), in the memory of the decay.
     decay.mul_(g)
-    decay[0].mul_(state)
+    decay[0].mul_(inputs.state)
     decay[1:].mul_(states[:-1])
-    grad_A = torch.mul(decay, delta.transpose(0, 1).unsqueeze(-2), out=states).sum((0, 1))
-    grad_delta = decay.mul_(A).sum(-2).transpose(0, 1)
-    return grad_drive * delta, grad_delta + grad_drive * x, grad_B, grad_C, grad_state, grad_A
+    grad.A.add_(torch.mul(decay, inputs.delta.transpose(0, 1).unsqueeze(-2), out=states).sum((0, 1)))
+    torch.mul(grad_drive, inputs.x, out=grad.delta)
+    grad.delta.add_(decay.mul_(inputs.A).sum(-2).transpose(0, 1))
 
 
-def _states(x: Tensor, delta: Tensor, A: Tensor, B: Tensor, state: Tensor, starts: Tensor) -> tuple[Tensor, Tensor]:
-    """The decays (zero at starts) and the states after each frame, both (T, B, N, E)."""
-    decay = delta.transpose(0, 1).unsqueeze(-2) * A
-    decay.exp_()
-    decay.masked_fill_(starts.transpose(0, 1)[:, :, None, None], 0.0)
-    states = B.transpose(0, 1).unsqueeze(-1) * (delta * x).transpose(0, 1).unsqueeze(-2)
-    before = state
+def _run(inputs: _Inputs, decay: Tensor, states: Tensor) -> None:
+    """Write the decays (zero at starts) and the states after each frame, both (T, B, N, E)."""
+    delta, starts = inputs.delta.transpose(0, 1), inputs.starts.transpose(0, 1)
+    torch.mul(delta.unsqueeze(-2), inputs.A, out=decay)
+    decay.exp_().mul_(~starts[:, :, None, None])
+    drive = (inputs.delta * inputs.x).transpose(0, 1)
+    torch.mul(inputs.B.transpose(0, 1).unsqueeze(-1), drive.unsqueeze(-2), out=states)
+    before = inputs.state
     for decay_t, state_t in zip(decay.unbind(0), states.unbind(0), strict=True):
         before = state_t.addcmul_(decay_t, before)
-    return decay, states
 
 
-def _read(C: Tensor, states: Tensor) -> Tensor:
-    """y = C h: (B, T, N) and (T, B, N, E) -> (B, T, E)."""
-    return torch.matmul(C.transpose(0, 1).unsqueeze(-2), states).squeeze(-2).transpose(0, 1)
+def _rows(inputs: _Inputs, rows: slice) -> _Inputs:
+    """Views of some rows; A is common to all."""
+    return _Inputs(*(part if name == "A" else part[rows] for name, part in inputs._asdict().items()))
 
 
-def _row_chunks(x: Tensor, A: Tensor) -> list[slice]:
-    batch, frames = x.shape[:2]
-    rows = batch if x.device.type != "cpu" else max(1, _CHUNK_ELEMENTS // (frames * A.numel()))
-    return [slice(i, i + rows) for i in range(0, batch, max(rows, 1))]
+def _chunks(inputs: _Inputs, count: int) -> Iterator[tuple[slice, tuple[Tensor, ...]]]:
+    """Slices of rows, each with `count` work tensors (T, rows, N, E) whose memory is used again for the next."""
+    batch, frames = inputs.x.shape[:2]
+    size = inputs.A.numel() * frames
+    most = batch if inputs.x.device.type != "cpu" else max(1, _CHUNK_ELEMENTS // max(size, 1))
+    memory = inputs.x.new_empty(count, min(most, batch) * size)
+    for first in range(0, batch, max(most, 1)):
+        rows = slice(first, min(first + most, batch))
+        number = rows.stop - first
+        yield rows, tuple(part[: number * size].view(frames, number, *inputs.A.shape) for part in memory)

@@ -1,0 +1,131 @@
+"""Checks of a simulator plugin: its maps, its rig and the environments that it makes."""
+
+from __future__ import annotations
+
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from me3bev_cli.api import (
+    BEV_CLASSES,
+    NAVIGATION_WIDTH,
+    ROAD_WIDTH,
+    VEHICLE_WIDTH,
+    ObservationConfig,
+    PluginConfig,
+    StepRecord,
+)
+from me3bev_cli.errors import UserError
+from me3bev_cli.testing import require
+
+STEPS = 5
+VECTORS = {"road": ROAD_WIDTH, "vehicle": VEHICLE_WIDTH, "navigation": NAVIGATION_WIDTH}
+
+
+def check_simulator(cls: Any, config: PluginConfig, observation: ObservationConfig, seed: int) -> None:
+    """All of it, on the first map at the first density."""
+    simulator = cls(config)
+    for name in ("maps", "densities"):
+        listed = getattr(simulator, name)()
+        fits = isinstance(listed, tuple) and len(listed) > 0 and all(isinstance(word, str) for word in listed)
+        require(cls, fits, f"{name}() gives a tuple of names that is not empty", listed)
+    _check_rig(cls, simulator, observation)
+    place = {"map": simulator.maps()[0], "density": simulator.densities()[0]}
+    env = simulator.make_env(observation, **place)
+    try:
+        first = _check_episode(cls, env, observation, seed)
+        _check_extras(cls, env)
+    finally:
+        env.close()
+    _check_repeats(cls, simulator, observation, place, seed, first)
+    _check_blind(cls, simulator, observation, place, seed)
+
+
+def _check_rig(cls: Any, simulator: Any, observation: ObservationConfig) -> None:
+    rig = simulator.rig(observation)
+    names = tuple(camera.name for camera in rig.cameras)
+    require(cls, names == observation.cameras, "the rig has the cameras asked for, in order", names)
+    size = (observation.height, observation.width)
+    require(cls, rig.image_size == size, "the rig's images have the size asked for", rig.image_size)
+    try:
+        simulator.rig(observation.model_copy(update={"cameras": ("no_such_camera",)}))
+    except (ValueError, UserError):
+        return
+    require(cls, False, "an unknown camera raises ValueError", "it was accepted")
+
+
+def _check_episode(cls: Any, env: Any, observation: ObservationConfig, seed: int) -> dict[str, Any]:
+    """The first observation, after a few steps whose every part is checked."""
+    image = (len(observation.cameras), 3, observation.height, observation.width)
+    spaces = env.observation_space.spaces
+    shapes = {name: space.shape for name, space in spaces.items()}
+    promised = {"images": image, **{name: (width,) for name, width in VECTORS.items()}}
+    require(cls, shapes == promised, f"the observation's shapes are {promised}", shapes)
+    require(cls, spaces["images"].dtype == np.uint8, "images are uint8", spaces["images"].dtype)
+    require(cls, env.action_space.shape == (2,), "an action is (steering, longitudinal)", env.action_space)
+    bounds = np.stack([env.action_space.low, env.action_space.high])
+    require(cls, bool((np.abs(bounds) == 1).all()), "actions lie in [-1, 1]", bounds.tolist())
+    first, _ = env.reset(seed=seed)
+    first = {name: np.array(value) for name, value in first.items()}
+    require(cls, env.observation_space.contains(first), "the first observation lies in the space", shapes)
+    rng = np.random.default_rng(seed)
+    for _ in range(STEPS):
+        action = rng.uniform(-1, 1, 2).astype(env.action_space.dtype)
+        obs, reward, terminated, truncated, info = env.step(action)
+        require(cls, env.observation_space.contains(obs), "every observation lies in the space", "one does not")
+        require(cls, bool(np.isfinite(float(reward))), "the reward is a finite number", reward)
+        _check_record(cls, info)
+        if terminated or truncated:
+            env.reset(seed=seed + 1)
+    return first
+
+
+def _check_record(cls: Any, info: dict[str, Any]) -> None:
+    record = info.get("record")
+    require(cls, isinstance(record, dict), "info['record'] is a StepRecord", record)
+    missing = sorted(set(StepRecord.__annotations__) - set(record or {}))
+    require(cls, not missing, "the record has every key of StepRecord", f"missing: {', '.join(missing)}")
+    for name, kind in get_type_hints(StepRecord).items():
+        value = (record or {})[name]
+        fits = (
+            isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if kind is float
+            else isinstance(value, kind)
+        )
+        require(cls, fits, f"the record's `{name}` is a {kind.__name__}", repr(value))
+        finite = kind is not float or name == "traffic_speed" or bool(np.isfinite(value))
+        require(cls, finite, f"the record's `{name}` is finite", value)
+
+
+def _check_extras(cls: Any, env: Any) -> None:
+    action = np.asarray(env.unwrapped.autopilot())
+    inside = action.shape == (2,) and bool((np.abs(action) <= 1).all())
+    require(cls, inside, "autopilot() gives an action in [-1, 1]", action)
+    classes = env.unwrapped.bev_semantics()
+    fits = classes.shape == (200, 200) and classes.dtype == np.uint8 and int(classes.max()) < len(BEV_CLASSES)
+    require(cls, fits, "bev_semantics() is (200, 200) uint8 of known classes", (classes.shape, classes.dtype))
+
+
+def _check_repeats(
+    cls: Any, simulator: Any, observation: ObservationConfig, place: dict[str, str], seed: int, first: dict[str, Any]
+) -> None:
+    env = simulator.make_env(observation, **place)
+    try:
+        again, _ = env.reset(seed=seed)
+        for name, value in first.items():
+            same = np.array_equal(value, again[name])
+            require(cls, same, "the same seed gives the same first observation", f"`{name}` differs")
+        other, _ = env.reset(seed=seed + 1)
+        differs = any(not np.array_equal(value, other[name]) for name, value in first.items())
+        require(cls, differs, "another seed gives another episode", "the first observation is the same")
+    finally:
+        env.close()
+
+
+def _check_blind(cls: Any, simulator: Any, observation: ObservationConfig, place: dict[str, str], seed: int) -> None:
+    env = simulator.make_env(observation, **place, images=False)
+    try:
+        obs, _ = env.reset(seed=seed)
+        require(cls, set(obs) == set(VECTORS), "with images=False an observation has no images", sorted(obs))
+    finally:
+        env.close()
