@@ -1,4 +1,4 @@
-"""The scene from above: the semantic map that is the perception's truth, and a plan for people."""
+"""The scene from above: the semantic map that is the perception's truth."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ def build_scenery(town: Town) -> Scenery:
         if prop.kind == "tree":
             conifer = k % 5 == 0
             table = _NEEDLES if conifer else _LEAVES
-            spread = float(np.clip(prop.height * (0.42 if conifer else 0.62), 1.5, 8.0))
+            spread = 2 * prop.radius
             leaf = table[(k * 7) % len(table)]
             shape = Shape.CONIFER if conifer else Shape.TREE
             packer.add(shape, prop.position, turn, (spread, spread, prop.height), (leaf[0], leaf[1], leaf[2]))

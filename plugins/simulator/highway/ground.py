@@ -19,6 +19,7 @@ from me3bev_plugins.simulator.highway.ground_tiles import (
     TILE,
     Paint,
     Tiles,
+    close_gaps,
     fill_polygons,
     fill_tiles,
     index_tiles,
@@ -32,6 +33,8 @@ MARGIN = 25.0
 """Metres of raster beyond the lanes; everything further out is grass."""
 BAND = 16
 """Rows of tiles that are painted at a time."""
+GUTTER = 0.6
+"""Strips of grass up to this wide between asphalt and sidewalk are asphalt, metres."""
 KERB = 0.18
 """Width of a kerb, metres."""
 _HALO = TILE
@@ -115,6 +118,7 @@ def _paint_band(floor: _Polygons, lines: _Polygons, level: int, first: int, rows
     """The cells (rows, columns) from row `first` on."""
     raster = np.zeros((rows + 2 * _HALO, columns), np.uint8)
     _fill(raster, floor, level, first - _HALO)
+    close_gaps(raster, int(Paint.GRASS), int(Paint.ASPHALT), int(Paint.SIDEWALK), round(GUTTER / CELL))
     lay_kerbs(raster, int(Paint.ASPHALT), int(Paint.SIDEWALK), int(Paint.KERB), round(KERB / CELL))
     _fill(raster, lines, level, first - _HALO)
     return np.ascontiguousarray(raster[_HALO:-_HALO])

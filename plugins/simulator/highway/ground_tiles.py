@@ -132,6 +132,32 @@ def fill_polygons(
 
 
 @njit(cache=True, error_model="numpy")
+def close_gaps(raster: Bytes, gap: int, one: int, two: int, limit: int) -> None:
+    """Turns runs of at most `limit` cells of `gap` between `one` and `two`, along rows or columns, into `one`."""
+    rows, columns = raster.shape
+    for row in range(rows):
+        last, at = gap, 0
+        for column in range(columns):
+            code = raster[row, column]
+            if code == gap:
+                continue
+            if 0 < column - at - 1 <= limit and ((code == one and last == two) or (code == two and last == one)):
+                raster[row, at + 1 : column] = one
+            last, at = code, column
+    above, since = np.full(columns, gap, np.uint8), np.zeros(columns, np.int64)
+    for row in range(rows):
+        for column in range(columns):
+            code = raster[row, column]
+            if code == gap:
+                continue
+            last, at = above[column], since[column]
+            if 0 < row - at - 1 <= limit and ((code == one and last == two) or (code == two and last == one)):
+                for k in range(at + 1, row):
+                    raster[k, column] = one
+            above[column], since[column] = code, row
+
+
+@njit(cache=True, error_model="numpy")
 def lay_kerbs(raster: Bytes, asphalt: int, sidewalk: int, kerb: int, reach: int) -> None:
     """Turns sidewalk cells within `reach` cells of asphalt into kerb."""
     rows, columns = raster.shape

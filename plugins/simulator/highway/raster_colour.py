@@ -72,7 +72,7 @@ def backdrop(rig: Rig, cell: float) -> Backdrop:
     ground = np.zeros((count, height, CODES * SHADES, 3), np.uint8)
     level = np.full((count, height), -1, np.int64)
     depth = np.zeros((count, height))
-    codes = _code_colours()
+    codes = code_colours()
     for i, camera in enumerate(rig.cameras):
         down = -_ray_z(camera, np.arange(height, dtype=np.float64) + 0.5)
         up = np.clip(-down / 0.45, 0.0, 1.0)[:, None] ** 0.7
@@ -82,8 +82,8 @@ def backdrop(rig: Rig, cell: float) -> Backdrop:
         for row in np.flatnonzero(below):
             z = depth[i, row]
             across, along = z / camera.fx, z * z / (camera.fy * camera.position[2])
-            footprint = across**0.6 * along**0.4
-            level[i, row] = int(np.clip(np.log2(footprint / cell) + 0.2, 0, len(OFFSETS) - 1))
+            footprint = across**0.7 * along**0.3
+            level[i, row] = int(np.clip(np.log2(footprint / cell), 0, len(OFFSETS) - 1))
             share = z / (z + HAZE_DISTANCE)
             ground[i, row] = np.round(codes + (HAZE - codes) * share).clip(0, 255)
     return Backdrop(sky=sky, ground=ground, level=level, depth=depth, grain=_grain())
@@ -95,7 +95,7 @@ def _ray_z(camera: Camera, rows: Floats) -> Floats:
     return down * (rows - camera.cy) / camera.fy + forward
 
 
-def _code_colours() -> Floats:
+def code_colours() -> Floats:
     """(CODES * SHADES, 3) colour of each ground code at each brightness step, before haze."""
     base = np.array([_PAINT_COLOURS[paint] for paint in Paint], np.float64)
     first, second, share = MIX_PARTS[:, 0], MIX_PARTS[:, 1], MIX_PARTS[:, 2:] / 8

@@ -27,8 +27,11 @@ def _line(x0: float, x1: float, y: float) -> NDArray[np.float64]:
 
 
 def make_town(markings: bool = True, buildings: tuple[Building, ...] = ()) -> Town:
-    """A street along x from -150 to 150: a lane each way, asphalt |y| < 3.6, sidewalks 4 < |y| < 6; a light at x = 40
-    for the eastbound lane and a crosswalk from x = 30 to 33."""
+    """A street along x from -150 to 150 with a lane each way.
+
+    Asphalt |y| < 3.6, a gutter, sidewalks 4 < |y| < 6; a light at x = 40 for the eastbound lane; a crosswalk from
+    x = 30 to 33.
+    """
     white, yellow = ("solid", "yellow_solid") if markings else ("none", "none")
     lanes = (
         Lane(0, _line(-150, 40, -1.75), 3.5, 10.0, left_marking=yellow, right_marking=white),

@@ -17,6 +17,7 @@ from me3bev_plugins.simulator.highway.ground_tiles import (
     RECORD,
     TILE,
     Paint,
+    close_gaps,
     fill_polygons,
     lookup,
 )
@@ -58,6 +59,17 @@ def test_classes_across_the_street(street):
     for y, paint in across.items():
         assert paint_at(street, -60.3, y) is paint
         assert paint_at(street, -60.3, -y) is paint
+
+
+def test_the_gutter_between_road_and_kerb_is_asphalt(street):
+    assert [paint_at(street, -60.3, y) for y in (3.8, 4.1, 4.3)] == [Paint.ASPHALT, Paint.KERB, Paint.SIDEWALK]
+    assert paint_at(street, -60.3, 6.1) is Paint.GRASS
+    raster = np.array([[1, 0, 0, 2, 0, 0, 0, 1, 0, 1]] * 2, np.uint8)
+    close_gaps(raster, 0, 1, 2, 2)
+    np.testing.assert_array_equal(raster[0], [1, 1, 1, 2, 0, 0, 0, 1, 0, 1])
+    column = np.array([[2, 0, 1, 0, 0, 2, 0, 0, 0, 1]] * 2, np.uint8).T.copy()
+    close_gaps(column, 0, 1, 2, 2)
+    np.testing.assert_array_equal(column[:, 1], [2, 1, 1, 1, 1, 2, 0, 0, 0, 1])
 
 
 def test_stop_line_ends_the_governed_lane_only(street):

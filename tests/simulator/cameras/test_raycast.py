@@ -81,7 +81,7 @@ def cast(scene: Scene, camera):
     x, y = (origin + directions * near[:, None])[:, :2].T
     wx, wy = ego.x + c * x - s * y, ego.y + s * x + c * y
     across, on_map = np.abs(wy), (np.abs(wx) < 150) & np.isfinite(depth)
-    semantics = np.where(on_map & (across < 3.6), ROAD, np.where(on_map & (across > 4) & (across < 6), SIDEWALK, 0))
+    semantics = np.where(on_map & (across < 4), ROAD, np.where(on_map & (across > 4) & (across < 6), SIDEWALK, 0))
     found = []
     for building in scene.town.buildings:
         dx, dy = building.centre[0] - ego.x, building.centre[1] - ego.y
