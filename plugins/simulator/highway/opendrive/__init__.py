@@ -35,7 +35,7 @@ def read_town(source: Path | bytes, name: str) -> Town:
     """
     document = read_document(source, name)
     shapes = section_shapes(document)
-    network = build_network(document, shapes, frozenset())
+    network = build_network(document, shapes)
     assign_limits(document, network)
     crossings = find_crossings(network)
     kinds = settle_control(document, network, crossings)

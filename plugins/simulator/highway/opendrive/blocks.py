@@ -85,12 +85,8 @@ def branch_tapers(links: Links, shapes: Shapes) -> tuple[Links, Tapers]:
     return links, frozenset(tapers)
 
 
-def find_blocks(document: Document, links: Links, cuts: frozenset[tuple[str, int, int]] = frozenset()) -> list[Block]:
-    """Every driving lane in exactly one block.
-
-    Args:
-        cuts: (road id, section index, side +1 or -1) that must begin a block of their own.
-    """
+def find_blocks(document: Document, links: Links) -> list[Block]:
+    """Every driving lane in exactly one block."""
     groups: dict[tuple[str, int, int], list[Key]] = {}
     for key in sorted(links, key=lambda key: abs(key[2])):
         groups.setdefault(_group(key), []).append(key)
@@ -99,18 +95,23 @@ def find_blocks(document: Document, links: Links, cuts: frozenset[tuple[str, int
     following = {
         group: after
         for group, keys in groups.items()
-        if (after := _continues(document, keys, groups, links, before)) is not None and after not in cuts
+        if (after := _continues(document, keys, groups, links, before)) is not None
     }
     blocks: list[Block] = []
     done: set[tuple[str, int, int]] = set()
-    heads = [group for group in groups if group not in set(following.values())]
-    for head in [*heads, *groups]:  # The second pass finds closed rings.
+    led_to = set(following.values())
+    heads = [group for group in groups if group not in led_to]
+    # What no head leads to is a closed ring: a block for each of its roads, so that no lane follows itself.
+    rings = [after for group, after in following.items() if after[0] != group[0]]
+    for head in [*heads, *rings, *groups]:
         run: list[list[Key]] = []
         group: tuple[str, int, int] | None = head
         while group is not None and group not in done:
             done.add(group)
             run.append(groups[group])
             group = following.get(group)
+            if group is not None and head in led_to and group[0] != head[0]:
+                break
         if run:
             blocks.append(Block(tuple(zip(*run, strict=True))))
     return blocks

@@ -64,11 +64,11 @@ def _segments(network: Network) -> Segments:
 
 
 def _outline(road: Road, item: ObjectRecord) -> tuple[Floats, float]:
-    """(4, 2) corners in the world and the height of the road there."""
+    """(4, 2) corners in the world and their height."""
     x, y, heading, _ = (float(v[0]) for v in road.line.at(np.array([item.s])))
     centre = np.array([x - item.t * np.sin(heading), y + item.t * np.cos(heading)])
     turn = heading + item.heading
-    level = float(road.elevation(np.array([item.s]))[0])
+    level = float(road.elevation(np.array([item.s]))[0]) + item.z
     if len(item.corners) < 3:
         return rectangle(centre, (max(item.length, 1.0), max(item.width, 1.0)), turn), level
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])

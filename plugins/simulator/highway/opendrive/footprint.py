@@ -16,6 +16,7 @@ MOST_CELLS = 36_000_000
 """A town too large for this many cells is drawn with larger ones."""
 MARGIN = 60.0
 """Metres kept around the lanes."""
+_FURTHEST = 1e9
 _SHIFT = 4
 """Binary places of a cell that OpenCV draws with."""
 
@@ -32,7 +33,7 @@ class Footprint:
 
     def _pixels(self, points: Floats) -> NDArray[np.int32]:
         places = ((points[:, :2] - self.low) / self.cell - 0.5) * 2**_SHIFT
-        return np.asarray(np.round(places), np.int32)
+        return np.asarray(np.round(np.clip(places, -_FURTHEST, _FURTHEST)), np.int32)
 
     def add_polygons(self, polygons: Iterable[Floats]) -> None:
         """Take convex polygons (P, 2)."""

@@ -11,7 +11,9 @@ from me3bev_plugins.simulator.highway.town import Floats
 EASE = 2.0
 """Metres over which the smallest gap is spread."""
 KINK = np.radians(1.0)
-SMOOTHINGS = 60
+JUMP = np.radians(20.0)
+EVEN = 0.5
+SMOOTHINGS = 240
 STRETCH = 18.0
 """Metres over which a gap of one metre is spread, so that no lane kinks."""
 
@@ -50,16 +52,27 @@ def share_joints(
 def smooth(points: Floats) -> Floats:
     """Points (P, 3) with kinks ironed out: files hold some, where two curves do not quite meet."""
     points = points.copy()
-    for _ in range(SMOOTHINGS):
-        steps = np.diff(points[:, :2], axis=0)
-        turn = steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
-        kinks = np.abs(np.arctan2(turn, (steps[:-1] * steps[1:]).sum(1))) > KINK
+    if np.abs(_turns(points)).max(initial=0.0) > JUMP:
+        # Samples lie close where a line jumps aside; even ones let it be drawn out.
+        s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))])
+        even = np.linspace(0.0, s[-1], max(2, int(np.ceil(s[-1] / EVEN)) + 1))
+        points = np.column_stack([np.interp(even, s, points[:, axis]) for axis in range(3)])
+    for attempt in range(SMOOTHINGS):
+        kinks = np.abs(_turns(points)) > KINK
         if not kinks.any():
             break
-        near = np.convolve(kinks, np.ones(5), "same") > 0 if len(kinks) >= 5 else np.ones_like(kinks)
+        reach = 2 + attempt // 8  # A kink that stays is given more room.
+        near = np.convolve(kinks, np.ones(2 * reach + 1))[reach : reach + len(kinks)] > 0
         relaxed = (points[:-2] + 2 * points[1:-1] + points[2:]) / 4
         points[1:-1] = np.where(near[:, None], relaxed, points[1:-1])
     return points
+
+
+def _turns(points: Floats) -> Floats:
+    """(P - 2,) how far the line turns at each inner point, radians."""
+    steps = np.diff(points[:, :2], axis=0)
+    turn = steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
+    return np.asarray(np.arctan2(turn, (steps[:-1] * steps[1:]).sum(1)))
 
 
 def _move_ends(points: Floats, first: Floats, last: Floats) -> Floats:

@@ -84,23 +84,22 @@ class Draft:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """The lanes of a town, strongly connected; `of` finds the lane of a piece, `pruned` are pieces not driven."""
+    """The lanes of a town, strongly connected; `of` finds the lane of a piece of the file."""
 
     lanes: list[Draft]
     of: dict[Key, int]
-    pruned: frozenset[Key]
 
 
-def build_network(document: Document, shapes: Shapes, cuts: frozenset[tuple[str, int, int]]) -> Network:
+def build_network(document: Document, shapes: Shapes) -> Network:
     """Lanes that can be driven for ever, with shared end points.
 
     Raises:
         MapError: no driving lane leads anywhere.
     """
-    every = lane_links(document)
-    links, tapers = branch_tapers(join_through_short(_meeting(every, shapes), shapes), shapes)
+    links = join_through_short(_meeting(lane_links(document), shapes), shapes)
+    links, tapers = branch_tapers(links, shapes)
     drafts: list[Draft] = []
-    for block in find_blocks(document, links, cuts):
+    for block in find_blocks(document, links):
         drafts.extend(_drafts(document, shapes, block, len(drafts)))
     of = {key: index for index, draft in enumerate(drafts) for key in draft.keys}
     for draft in drafts:
@@ -118,8 +117,7 @@ def build_network(document: Document, shapes: Shapes, cuts: frozenset[tuple[str,
     joined = share_joints([smooth(draft.points) for draft in kept], [draft.successors for draft in kept], loose)
     for draft, points in zip(kept, joined, strict=True):
         draft.points = points
-    of = {key: index for index, draft in enumerate(kept) for key in draft.keys}
-    return Network(kept, of, frozenset(key for key in every if key not in of))
+    return Network(kept, {key: index for index, draft in enumerate(kept) for key in draft.keys})
 
 
 def _meeting(links: Links, shapes: Shapes) -> Links:

@@ -79,7 +79,7 @@ class SignalRecord:
 
 @dataclass(frozen=True)
 class ObjectRecord:
-    """An object on a road; `corners` are (u, v) in its own frame."""
+    """An object on a road; `corners` are (u, v) in its own frame, `z` is its height above the road."""
 
     type: str
     name: str
@@ -88,6 +88,7 @@ class ObjectRecord:
     heading: float
     length: float
     width: float
+    z: float = 0.0
     corners: tuple[tuple[float, float], ...] = ()
 
 

@@ -196,6 +196,7 @@ class RoadReader:
             heading=self.values.number(element, "hdg", 0.0),
             length=self.values.number(element, "length", 0.0),
             width=self.values.number(element, "width", 0.0),
+            z=self.values.number(element, "zOffset", 0.0),
             corners=tuple(
                 (self.values.number(c, "u"), self.values.number(c, "v")) for c in element.iter("cornerLocal")
             ),

@@ -20,6 +20,8 @@ TURN = np.radians(0.75)
 """Most turn between samples."""
 DENSEST = 50.0
 """Most samples per metre, whatever the curves of a damaged file say."""
+WIDEST = 100.0
+"""Most metres of a lane's width."""
 PROBE = 0.5
 """Metres between the probes that measure how a section bends."""
 
@@ -84,7 +86,7 @@ def _edges(road: Road, section: Section, s: Floats) -> dict[int, Floats]:
     for sign in (1, -1):
         lateral = edges[0]
         for lane in section.side(sign):
-            lateral = lateral + sign * np.maximum(lane.width(s - section.start), 0.0)
+            lateral = lateral + sign * np.clip(lane.width(s - section.start), 0.0, WIDEST)
             edges[lane.id] = lateral
     return edges
 
