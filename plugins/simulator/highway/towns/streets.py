@@ -39,7 +39,7 @@ class Section:
     """Width of a raised strip in the middle."""
     shoulder: float = 0.0
     sidewalk: float = 2.0
-    """Width of the sidewalk on either side, 0 for none."""
+    """Width of the sidewalk on either side (on the right of a one-way road), 0 for none."""
 
     @property
     def middle(self) -> float:
@@ -61,7 +61,9 @@ class Section:
             strips.append(("bidirectional", self.turn_lane))
         strips += [("driving", self.width)] * (self.forward if sign < 0 else self.backward)
         strips += [("shoulder", self.shoulder)] if self.shoulder else []
-        strips += [("sidewalk", self.sidewalk)] if self.sidewalk else []
+        # A one-way road has its sidewalk on the right: the left is the inside of a loop or another carriageway.
+        if self.sidewalk and (sign < 0 or self.backward):
+            strips.append(("sidewalk", self.sidewalk))
         out, edge = [], 0.0
         for number, (kind, width) in enumerate(strips, 1):
             out.append(LaneSpec(sign * number, kind, width, self.middle + sign * (edge + width / 2)))

@@ -41,7 +41,7 @@ def _streets() -> tuple[Street, ...]:
         ),
         Street("north road", polyline((-200, 162), (0, 159)), COUNTRY, 40, kind="rural"),
         Street("green", polyline((-89, 108), (0, 107)), VILLAGE, 30),
-        Street("lay-by", polyline((-20, 107), (-20, 88, 9), (-62, 88, 9), (-62, 108)), ONE_WAY, 30),
+        Street("lay-by", polyline((-27, 107), (-27, 88, 9), (-62, 88, 9), (-62, 108)), ONE_WAY, 30),
         Street("mill road", polyline((-101, 64), (-36, 64.6)), TRACK, 30),
         Street("mill street", polyline((-36, 64.6), (0, 65)), VILLAGE, 30),
         Street("church street", polyline((-101, 1), (0, 2, 400), (36, 5.3)), VILLAGE, 30),
@@ -50,9 +50,9 @@ def _streets() -> tuple[Street, ...]:
         Street("low road", polyline((-204, -50), (-104, -52, 200), (-46, -56.6)), COUNTRY, 40, kind="rural"),
         Street("low street", polyline((-46, -56.6), (0, -60, 300), (36, -61)), VILLAGE, 30),
         Street("coast road", polyline((36, -61), (72, -62)), COUNTRY, 40, kind="rural"),
-        Street("yard", polyline((-97, 92), (-150, 95)), TRACK, 30),
-        Street("barn road", polyline((-150, 95), (-150, -51)), COUNTRY, 30, kind="rural"),
-        Street("turnaround", bulb((-150, 95, math.radians(135)), 14, 10), ONE_WAY, 30),
+        Street("yard", polyline((-97, 87), (-150, 93)), TRACK, 30),
+        Street("barn road", polyline((-150, 93), (-150, -51)), COUNTRY, 30, kind="rural"),
+        Street("turnaround", bulb((-150, 93, math.radians(135)), 14, 10), ONE_WAY, 30),
     )
 
 
@@ -69,7 +69,7 @@ def _loop() -> Street:
         ((-200, 200), -0.5),
         ((-200, 180), 0.0),
     )
-    slow = (((-202, -30), 30.0), ((-202, -95), 40.0), ((80, 25), 40.0), ((-200, 120), 30.0), ((88, -38), 30.0))
+    slow = (((-202, -30), 30.0), ((-202, -95), 40.0), ((58, 60), 40.0), ((-200, 120), 30.0), ((88, -38), 30.0))
     path = polyline(*SOUTH_WEST, *EAST, *NORTH, *WEST, closed=True)
     return Street("loop", path, LOOP, 40, zones=slow, climbs=hills, kind="rural")
 
@@ -101,15 +101,15 @@ def _nodes() -> tuple[Node, ...]:
             ("spine", "north road", (0, 159)),
             ("high street", "green", (0, 107)),
             ("middle", "green", (-89, 108)),
-            ("middle", "yard", (-101, 92)),
+            ("middle", "yard", (-100, 87)),
             ("middle", "mill road", (-101, 64)),
             ("middle", "church street", (-101, 1)),
             ("barn road", "low road", (-150, -51)),
             ("loop", "middle", (-110, -117)),
-            ("green", "lay-by", (-20, 107)),
+            ("green", "lay-by", (-27, 107)),
             ("green", "lay-by", (-62, 108)),
         )
     )
     changes = ((0, 132), (-36, 64.6), (36, 5.3), (-46, -56.6), (36, -61))
     gates = tuple(Node(f"village gate {i}", point) for i, point in enumerate(changes, 1))
-    return (*lights, *stops, *yields, *gates, Node("turnaround", (-150, 95)))
+    return (*lights, *stops, *yields, *gates, Node("turnaround", (-150, 93)))
