@@ -9,64 +9,16 @@ from __future__ import annotations
 
 from enum import IntEnum
 from functools import cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.materials import Role
+from me3bev_plugins.simulator.highway.mesh_builder import FINE, MeshBuilder, Point
+
 CORNERS = 8
 """Most corners of a face."""
-FAR = 1e9
-FINE = 45.0
-"""Range of small parts (plates, wheels, lamps' rims), metres at the default focal length."""
-
-
-class Role(IntEnum):
-    """What a face is made of. The first two take the thing's own colours."""
-
-    FIRST = 0
-    SECOND = 1
-    GLASS = 2
-    DARK = 3
-    HEADLAMP = 4
-    TAIL = 5
-    METAL = 6
-    BARK = 7
-    SKIN = 8
-    RED = 9
-    AMBER = 10
-    GREEN = 11
-    SIGN_RED = 12
-    SIGN_WHITE = 13
-    SHADOW = 14
-    WALL = 15
-    PLATE = 16
-
-
-COLOURS = np.array(
-    [
-        (0, 0, 0),
-        (0, 0, 0),
-        (38, 46, 56),
-        (26, 26, 28),
-        (244, 244, 228),
-        (150, 14, 16),
-        (96, 99, 104),
-        (84, 64, 48),
-        (205, 160, 130),
-        (255, 40, 30),
-        (255, 180, 30),
-        (50, 245, 110),
-        (190, 22, 26),
-        (240, 240, 240),
-        (0, 0, 0),
-        (0, 0, 0),
-        (225, 225, 215),
-    ],
-    np.float64,
-)
-"""(roles, 3) r, g, b; of lamps when lit."""
 
 
 class Shape(IntEnum):
@@ -103,85 +55,8 @@ class Meshes(NamedTuple):
     face_start: NDArray[np.int64]
 
 
-Point = tuple[float, float, float]
-Span = tuple[float, float]
-
-
-class _Builder:
-    """Collects the faces of one mesh."""
-
-    def __init__(self) -> None:
-        self.vertices: dict[Point, int] = {}
-        self.faces: list[tuple[list[int], Role, float]] = []
-
-    def face(self, points: list[Point], role: Role, reach: float = FAR) -> None:
-        for point in points:
-            self.vertices.setdefault(point, len(self.vertices))
-        self.faces.append(([self.vertices[point] for point in points], role, reach))
-
-    def sheet(self, points: list[Point], role: Role, reach: float = FAR) -> None:
-        """A face seen from both sides."""
-        self.face(points, role, reach)
-        self.face(points[::-1], role, reach)
-
-    def frustum(
-        self, low: tuple[Span, Span, float], high: tuple[Span, Span, float], sides: Role, top: Role, reach: float = FAR
-    ) -> None:
-        """A block between two rectangles (x span, y span, z), without its underside."""
-        (a0, a1), (b0, b1), z0 = low
-        (c0, c1), (d0, d1), z1 = high
-        p = [(a0, b0, z0), (a1, b0, z0), (a1, b1, z0), (a0, b1, z0)]
-        q = [(c0, d0, z1), (c1, d0, z1), (c1, d1, z1), (c0, d1, z1)]
-        for i in range(4):
-            j = (i + 1) % 4
-            self.face([p[i], p[j], q[j], q[i]], sides, reach)
-        self.face(q, top, reach)
-
-    def box(self, x: Span, y: Span, z: Span, role: Role, reach: float = FAR) -> None:
-        self.frustum((x, y, z[0]), (x, y, z[1]), role, role, reach)
-
-    def lathe(self, rings: list[Span], sides: int, role: Role, reach: float = FAR) -> None:
-        """Rings (radius, z) from the bottom up around the axis, closed on top."""
-        turn = 2 * np.pi * (np.arange(sides) + 0.5) / sides
-        loops = [[(float(r * np.cos(t)), float(r * np.sin(t)), z) for t in turn] for r, z in rings]
-        for low, high in pairwise(loops):
-            for i in range(sides):
-                j = (i + 1) % sides
-                self.face([low[i], low[j], high[j], high[i]], role, reach)
-        self.face(loops[-1], role, reach)
-
-    def wheel(self, x: float, y: float, radius: tuple[float, float], outward: float, reach: float = FINE) -> None:
-        """An octagon on the ground facing +y (outward 1) or -y (outward -1)."""
-        turn = 2 * np.pi * (np.arange(8) + 0.5) / 8 * -outward
-        points = [(x + radius[0] * float(np.cos(t)), y, radius[1] * (1 + float(np.sin(t)))) for t in turn]
-        self.face(points, Role.DARK, reach)
-
-    def front(self, x: float, y: Span, z: Span, role: Role, reach: float = FAR) -> None:
-        """A rectangle that faces +x."""
-        self.face([(x, y[0], z[0]), (x, y[1], z[0]), (x, y[1], z[1]), (x, y[0], z[1])], role, reach)
-
-    def rear(self, x: float, y: Span, z: Span, role: Role, reach: float = FAR) -> None:
-        """A rectangle that faces -x."""
-        self.face([(x, y[1], z[0]), (x, y[0], z[0]), (x, y[0], z[1]), (x, y[1], z[1])], role, reach)
-
-    def side(self, y: float, x: Span, z: Span, role: Role, reach: float = FAR) -> None:
-        """A rectangle on the left (y > 0) or right side, facing out."""
-        points = [(x[0], y, z[0]), (x[1], y, z[0]), (x[1], y, z[1]), (x[0], y, z[1])]
-        self.face(points if y < 0 else points[::-1], role, reach)
-
-    def shadow(self, x: Span, y: Span) -> None:
-        z = 0.004
-        self.face([(x[0], y[0], z), (x[1], y[0], z), (x[1], y[1], z), (x[0], y[1], z)], Role.SHADOW)
-
-    def lamps(self, x: float, z: Span, y: Span = (0.27, 0.46)) -> None:
-        """Head lamps at +x and tail lamps at -x."""
-        for low, high in (y, (-y[1], -y[0])):
-            self.front(x, (low, high), z, Role.HEADLAMP, 120.0)
-            self.rear(-x, (low, high), (z[0] + 0.02, z[1] + 0.04), Role.TAIL, 120.0)
-
-
-def _car() -> _Builder:
-    b = _Builder()
+def _car() -> MeshBuilder:
+    b = MeshBuilder()
     b.shadow((-0.53, 0.53), (-0.58, 0.58))
     b.box((-0.46, 0.46), (-0.44, 0.44), (0.0, 0.2), Role.DARK)
     b.frustum(((-0.5, 0.5), (-0.5, 0.5), 0.16), ((-0.49, 0.47), (-0.48, 0.48), 0.58), Role.FIRST, Role.FIRST)
@@ -198,8 +73,8 @@ def _car() -> _Builder:
     return b
 
 
-def _van() -> _Builder:
-    b = _Builder()
+def _van() -> MeshBuilder:
+    b = MeshBuilder()
     b.shadow((-0.52, 0.52), (-0.56, 0.56))
     b.box((-0.46, 0.46), (-0.44, 0.44), (0.0, 0.14), Role.DARK)
     b.frustum(((-0.5, 0.5), (-0.5, 0.5), 0.1), ((-0.5, 0.47), (-0.5, 0.5), 0.5), Role.FIRST, Role.FIRST)
@@ -218,8 +93,8 @@ def _van() -> _Builder:
     return b
 
 
-def _truck() -> _Builder:
-    b = _Builder()
+def _truck() -> MeshBuilder:
+    b = MeshBuilder()
     b.shadow((-0.52, 0.52), (-0.55, 0.55))
     b.box((-0.48, 0.48), (-0.42, 0.42), (0.0, 0.2), Role.DARK)
     b.box((-0.5, 0.24), (-0.5, 0.5), (0.2, 1.0), Role.SECOND)
@@ -235,8 +110,8 @@ def _truck() -> _Builder:
     return b
 
 
-def _motorcycle() -> _Builder:
-    b = _Builder()
+def _motorcycle() -> MeshBuilder:
+    b = MeshBuilder()
     b.shadow((-0.5, 0.5), (-0.35, 0.35))
     for x in (-0.34, 0.34):
         b.box((x - 0.15, x + 0.15), (-0.08, 0.08), (0.0, 0.38), Role.DARK)
@@ -251,8 +126,8 @@ def _motorcycle() -> _Builder:
     return b
 
 
-def _pedestrian(stride: float) -> _Builder:
-    b = _Builder()
+def _pedestrian(stride: float) -> MeshBuilder:
+    b = MeshBuilder()
     b.shadow((-0.5, 0.5), (-0.55, 0.55))
     for sign in (-1.0, 1.0):
         y = (sign * 0.2 - 0.14, sign * 0.2 + 0.14)
@@ -267,22 +142,22 @@ def _pedestrian(stride: float) -> _Builder:
     return b
 
 
-def _building() -> _Builder:
-    b = _Builder()
+def _building() -> MeshBuilder:
+    b = MeshBuilder()
     b.frustum(((-0.5, 0.5), (-0.5, 0.5), 0.0), ((-0.5, 0.5), (-0.5, 0.5), 1.0), Role.WALL, Role.SECOND)
     return b
 
 
-def _tree() -> _Builder:
-    b = _Builder()
+def _tree() -> MeshBuilder:
+    b = MeshBuilder()
     b.shadow((-0.36, 0.36), (-0.36, 0.36))
     b.lathe([(0.06, 0.0), (0.045, 0.4)], 5, Role.BARK)
     b.lathe([(0.12, 0.3), (0.42, 0.42), (0.5, 0.62), (0.36, 0.86), (0.12, 1.0)], 7, Role.FIRST)
     return b
 
 
-def _conifer() -> _Builder:
-    b = _Builder()
+def _conifer() -> MeshBuilder:
+    b = MeshBuilder()
     b.shadow((-0.36, 0.36), (-0.36, 0.36))
     b.lathe([(0.06, 0.0), (0.06, 0.2)], 5, Role.BARK)
     b.lathe([(0.5, 0.14), (0.2, 0.5)], 7, Role.FIRST)
@@ -291,15 +166,15 @@ def _conifer() -> _Builder:
     return b
 
 
-def _pole() -> _Builder:
-    b = _Builder()
+def _pole() -> MeshBuilder:
+    b = MeshBuilder()
     b.lathe([(0.5, 0.0), (0.32, 1.0)], 5, Role.METAL)
     return b
 
 
-def _signal() -> _Builder:
+def _signal() -> MeshBuilder:
     """Driven towards +x: the lamps face -x."""
-    b = _Builder()
+    b = MeshBuilder()
     b.box((-0.3, 0.3), (-0.34, 0.34), (0.03, 0.97), Role.DARK)
     plate: list[Point] = [(0.0, 0.5, 0.0), (0.0, -0.5, 0.0), (0.0, -0.5, 1.0), (0.0, 0.5, 1.0)]
     b.sheet(plate, Role.DARK)
@@ -309,9 +184,9 @@ def _signal() -> _Builder:
     return b
 
 
-def _sign(sides: int, turn: float, inner: Role) -> _Builder:
+def _sign(sides: int, turn: float, inner: Role) -> MeshBuilder:
     """A plate that faces -x, red with an inner part."""
-    b = _Builder()
+    b = MeshBuilder()
     angles = 2 * np.pi * np.arange(sides) / sides + turn
     for x, size, role in ((0.0, 0.5, Role.SIGN_RED), (-0.02, 0.3 if inner is Role.SIGN_WHITE else 0.44, inner)):
         rim: list[Point] = [(x, -size * float(np.cos(t)), 0.5 + size * float(np.sin(t))) for t in angles]
@@ -320,8 +195,8 @@ def _sign(sides: int, turn: float, inner: Role) -> _Builder:
     return b
 
 
-def _box() -> _Builder:
-    b = _Builder()
+def _box() -> MeshBuilder:
+    b = MeshBuilder()
     b.box((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0), Role.FIRST)
     b.face([(-0.5, 0.5, 0.0), (0.5, 0.5, 0.0), (0.5, -0.5, 0.0), (-0.5, -0.5, 0.0)], Role.FIRST)
     return b

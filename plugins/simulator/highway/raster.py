@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from me3bev_plugins.simulator.highway.geometry import COLOURS, CORNERS, Meshes, Role
+from me3bev_plugins.simulator.highway.geometry import CORNERS, Meshes
+from me3bev_plugins.simulator.highway.materials import COLOURS, Role
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -5,7 +5,8 @@ import pytest
 
 from me3bev_cli.api import BEV_CLASSES, ObservationConfig
 from me3bev_plugins.simulator.highway.cameras import Cameras
-from me3bev_plugins.simulator.highway.geometry import Role, Shape, meshes
+from me3bev_plugins.simulator.highway.geometry import Shape, meshes
+from me3bev_plugins.simulator.highway.materials import Role
 from me3bev_plugins.simulator.highway.rig import surround_rig
 from me3bev_plugins.simulator.highway.scene import Kind, Scene
 from me3bev_plugins.simulator.highway.town import Building
