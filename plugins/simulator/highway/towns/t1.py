@@ -18,7 +18,7 @@ def layout() -> Layout:
 
 
 def _streets() -> tuple[Street, ...]:
-    outline = polyline((0, 0, 12), (EAST, 0, 12), (EAST, NORTH, 12), (0, NORTH, 12), closed=True)
+    outline = polyline((0, 0, 11), (EAST, 0, 11), (EAST, NORTH, 11), (0, NORTH, 11), closed=True)
     # Fast along the two long sides, slowing down in two steps before their corners.
     fast = (
         ((EAST, 24.0), 60.0),
