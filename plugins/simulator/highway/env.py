@@ -222,4 +222,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
 
     def render(self) -> NDArray[np.uint8] | None:
         """The cameras and the plan view in one picture (H, W, 3) when the render mode is "rgb_array"."""
-        return picture(self.scene, self.cameras, self.rig) if self.render_mode == "rgb_array" else None
+        if self.render_mode != "rgb_array":
+            return None
+        route = self.route
+        return picture(self.scene, self.cameras, self.rig, route.points[route.s <= route.length])
