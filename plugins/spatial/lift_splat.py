@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from me3bev_cli.api import PluginConfig, Rig, SpatialOutput, TokenSpec
 from me3bev_plugins.spatial.bev_trunk import BEVTrunk
 from me3bev_plugins.spatial.frustum import Grid, calibration, cells_of, depth_edges, feature_size, frustum
-from me3bev_plugins.spatial.ground import ground_lookup, warp
+from me3bev_plugins.spatial.ground import GroundIndex, ground_index, warp
 from me3bev_plugins.spatial.splat import SplatIndex, build_index, splat
 from me3bev_plugins.spatial.trunks import Trunk
 
@@ -78,14 +78,11 @@ class LiftSplat(nn.Module):
             return Grid(self.x_range, self.y_range, self.z_range, self.cell)
 
     depth_edges: Tensor
-    ground_where: Tensor
-    ground_seen: Tensor
 
     def __init__(self, config: Config, rig: Rig) -> None:
         super().__init__()
         self.output_spec(config, rig)
         self.config, self.grid = config, config.grid()
-        self.cameras = len(rig.cameras)
         self.trunk = Trunk(config.trunk, config.stride, config.pretrained, config.neck)
         self.head = nn.Conv2d(self.trunk.channels, config.depth_bins + config.channels, 1)
         ground = 3 * config.ground_samples**2 + 1 if config.ground_plane else 0
@@ -126,32 +123,30 @@ class LiftSplat(nn.Module):
         for name, table in index._asdict().items():
             self.register_buffer(f"splat_{name}", table, persistent=False)
         if config.ground_plane:
-            where, seen = ground_lookup(rig, self.grid, config.ground_samples)
-            self.register_buffer("ground_where", where, persistent=False)
-            self.register_buffer("ground_seen", seen, persistent=False)
-
-    def _index(self) -> SplatIndex:
-        return SplatIndex(*(self.get_buffer(f"splat_{name}") for name in SplatIndex._fields))
+            for name, table in ground_index(rig, self.grid, config.ground_samples)._asdict().items():
+                self.register_buffer(f"ground_{name}", table, persistent=False)
 
     def forward(self, images: Tensor) -> SpatialOutput:
         """Images (N, C, 3, H, W), ImageNet-normalised -> tokens, depth, and the feature map (half the grid's cells)."""
-        count = len(images)
-        lifted = self.head(self.trunk(images.flatten(0, 1)))
-        logits, context = lifted.split([self.config.depth_bins, self.config.channels], dim=1)
-        logits = logits.unflatten(0, (count, self.cameras))
-        bev = self._pool(logits, context)
-        if self.config.ground_plane:
-            bev = torch.cat([bev, warp(images, self.ground_where, self.ground_seen, self.config.ground_samples)], dim=1)
+        count, config = len(images), self.config
+        # Channels innermost suits the convolutions and makes every pixel a row that can be gathered.
+        images = images.flatten(0, 1).contiguous(memory_format=torch.channels_last)
+        lifted = self.head(self.trunk(images))
+        logits, context = lifted.split([config.depth_bins, config.channels], dim=1)
+        cells = self._pool(logits.unflatten(0, (count, -1)), context)
+        if config.ground_plane:
+            index = GroundIndex(*(self.get_buffer(f"ground_{name}") for name in GroundIndex._fields))
+            pixels = images.permute(0, 2, 3, 1).reshape(count, -1, 3)
+            cells = torch.cat([cells, warp(pixels.to(cells.dtype), index)], dim=2)
+        bev = cells.view(count, self.grid.rows, self.grid.columns, -1).permute(0, 3, 1, 2)
         tokens, grid = self.bev_trunk(bev)
-        return SpatialOutput(tokens, grid, logits)
+        return SpatialOutput(tokens, grid, logits.unflatten(0, (count, -1)))
 
     def _pool(self, logits: Tensor, context: Tensor) -> Tensor:
-        """Logits (N, C, D, h, w) and context (N * C, channels, h, w) to the grid (N, channels, X, Y)."""
-        count = len(logits)
+        """Logits (N, C, D, h, w) and context (N * C, channels, h, w) to cells (N, X * Y, channels)."""
+        index = SplatIndex(*(self.get_buffer(f"splat_{name}") for name in SplatIndex._fields))
         with torch.autocast(logits.device.type, enabled=False):
             wide = torch.promote_types(logits.dtype, torch.float32)
             probability = logits.to(wide).softmax(2).flatten(1)
-            vectors = context.to(wide).permute(0, 2, 3, 1).reshape(count, -1, self.config.channels)
-            cells = splat(probability, vectors, self._index())
-        # (N, X * Y, channels) read as (N, channels, X, Y) has its channels innermost already.
-        return cells.view(count, self.grid.rows, self.grid.columns, -1).permute(0, 3, 1, 2)
+            vectors = context.to(wide).permute(0, 2, 3, 1).reshape(len(logits), -1, self.config.channels)
+            return splat(probability, vectors, index)
