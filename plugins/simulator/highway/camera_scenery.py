@@ -23,6 +23,8 @@ BLOCK = 32.0
 REPEATER = 2.6
 """Height of the second, lower head of a signal: who waits at a stop line does not see the upper one, metres."""
 BUILDING = BEV_CLASSES.index("building")
+_HEAD = (0.4, 0.62, 1.5)
+"""Size of a signal head, metres."""
 _RANGE = {Shape.BUILDING: 220.0, Shape.TREE: 130.0, Shape.CONIFER: 130.0, Shape.POLE: 90.0, Shape.SIGNAL: 120.0}
 _LEAVES = np.array([(70, 104, 48), (84, 116, 52), (60, 94, 54), (98, 118, 50)], np.float64)
 _NEEDLES = np.array([(44, 78, 52), (52, 86, 54)], np.float64)
@@ -110,37 +112,36 @@ def build_scenery(town: Town) -> Scenery:
 
 
 def _add_signal(packer: _Packer, town: Town, signal: Signal) -> None:
-    """The head, and a post beside the road with an arm where the head hangs over the asphalt."""
-    forward = np.array([np.cos(signal.heading), np.sin(signal.heading)])
-    right = np.array([forward[1], -forward[0]])
-    head = np.array(signal.position[:2])
+    """The head, a post off the road with an arm to the head where that hangs over asphalt, and a lower head."""
+    head, ahead = np.array(signal.position[:2]), np.array([np.cos(signal.heading), np.sin(signal.heading)])
     ground = float(town.lanes[signal.lanes[0]].points[-1, 2]) if signal.lanes else 0.0
     height = float(np.clip(signal.position[2] - ground, 2.4, 7.5))
-    size = (0.4, 0.62, 1.5)
-    for level in (height, REPEATER) if height > REPEATER + size[2] else (height,):
-        place = (float(head[0]), float(head[1]))
-        packer.add(Shape.SIGNAL, place, signal.heading, size, base=level - 0.5 * size[2], identity=signal.id)
-    tiles = ground_of(town).tiles
-    foot = head + 0.35 * forward
-    for step in np.arange(0.0, 16.0, 0.5):
-        spots = [head + 0.35 * forward + side * step * right for side in (1.0, -1.0)]
-        free = [spot for spot in spots if _paint_at(tiles, spot) in (Paint.GRASS, Paint.SIDEWALK, Paint.PATH)]
-        if free:
-            foot = free[0]
-            break
+    foot = _free_spot(ground_of(town).tiles, head + 0.35 * ahead, signal.heading)
+    _add_head(packer, signal, head, height)
+    if height > REPEATER + _HEAD[2]:
+        _add_head(packer, signal, foot - 0.35 * ahead, REPEATER)
     packer.add(Shape.POLE, (float(foot[0]), float(foot[1])), 0.0, (0.2, 0.2, height + 0.6))
-    arm = head + 0.35 * forward - foot
+    arm = head + 0.35 * ahead - foot
     length = float(np.hypot(*arm))
     if length > 0.3:
-        middle = foot + 0.5 * arm
-        packer.add(
-            Shape.BOX,
-            (float(middle[0]), float(middle[1])),
-            float(np.arctan2(arm[1], arm[0])),
-            (length, 0.12, 0.12),
-            (96, 99, 104),
-            base=height + 0.1,
-        )
+        middle, turn = foot + 0.5 * arm, float(np.arctan2(arm[1], arm[0]))
+        place = (float(middle[0]), float(middle[1]))
+        packer.add(Shape.BOX, place, turn, (length, 0.12, 0.12), (96, 99, 104), base=height + 0.1)
+
+
+def _add_head(packer: _Packer, signal: Signal, at: Floats, height: float) -> None:
+    place, base = (float(at[0]), float(at[1])), height - 0.5 * _HEAD[2]
+    packer.add(Shape.SIGNAL, place, signal.heading, _HEAD, base=base, identity=signal.id)
+
+
+def _free_spot(tiles: Tiles, at: Floats, heading: float) -> Floats:
+    """The nearest place off the road for a post, to the right of traffic or ahead if possible; else `at` itself."""
+    for radius in np.arange(0.0, 26.0, 0.5):
+        for turn in np.radians([-90.0, -60.0, -30.0, 0.0, 90.0, 45.0]):
+            spot = at + radius * np.array([np.cos(heading + turn), np.sin(heading + turn)])
+            if _paint_at(tiles, spot) in (Paint.GRASS, Paint.SIDEWALK, Paint.PATH, Paint.KERB):
+                return np.asarray(spot)
+    return at
 
 
 def _paint_at(tiles: Tiles, spot: Floats) -> int:

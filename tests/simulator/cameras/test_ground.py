@@ -1,11 +1,14 @@
 """The painted ground: filling, tiles, lines, kerbs, levels."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from me3bev_plugins.simulator.highway.bev import bev_semantics
+from me3bev_plugins.simulator.highway.camera_scenery import scenery_of
+from me3bev_plugins.simulator.highway.geometry import Shape
 from me3bev_plugins.simulator.highway.ground import ground_of
 from me3bev_plugins.simulator.highway.ground_levels import hidden, level_of
 from me3bev_plugins.simulator.highway.ground_tiles import (
@@ -21,6 +24,7 @@ from me3bev_plugins.simulator.highway.ground_tiles import (
     fill_polygons,
     lookup,
 )
+from me3bev_plugins.simulator.highway.raster import BASE, SHAPE, X, Y
 from me3bev_plugins.simulator.highway.scene import Kind
 from me3bev_plugins.simulator.highway.town import Lane, Town
 
@@ -147,3 +151,15 @@ def test_actors_of_the_other_level_are_not_seen(bridge, scene_of):
     vehicle = bev_semantics(scene) == 6
     rows, _ = np.nonzero(vehicle)
     assert rows.mean() == pytest.approx(99.5 - 32, abs=1)
+
+
+def test_posts_of_lights_stand_off_the_road(street):
+    over_the_lane = replace(street, signals=(replace(street.signals[0], position=(42.0, -1.75, 5.0)),), props=())
+    scenery = scenery_of(over_the_lane)
+    shapes = scenery.label[:, SHAPE]
+    (post,) = scenery.number[shapes == Shape.POLE][:, [X, Y]]
+    assert paint_at(over_the_lane, *post) in (Paint.SIDEWALK, Paint.KERB, Paint.GRASS)
+    heads = scenery.number[shapes == Shape.SIGNAL]
+    assert len(heads) == 2
+    np.testing.assert_allclose(heads[np.argmax(heads[:, BASE]), [X, Y]], (42.0, -1.75))
+    assert (shapes == Shape.BOX).sum() == 1
