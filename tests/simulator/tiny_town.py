@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+
 from me3bev_plugins.simulator.highway.town import Crosswalk, Junction, Lane, Sidewalk, Sign, Signal, Town
 
 WIDTH, TRIM = 3.5, 12.0
@@ -52,9 +53,7 @@ def build_tiny_town(limit: float = 11.0) -> Town:
         if (start, end) == ("west", "south"):
             crosswalks.append((_across(line, len(line) // 2, count), both))
         ahead, back = line[1] - line[0], line[-2] - line[-1]
-        arms[start].append(
-            Arm(np.arctan2(*ahead[::-1]), backward, forward, count, {1: edges[0][0], -1: edges[1][0]})
-        )
+        arms[start].append(Arm(np.arctan2(*ahead[::-1]), backward, forward, count, {1: edges[0][0], -1: edges[1][0]}))
         arms[end].append(Arm(np.arctan2(*back[::-1]), forward, backward, count, {1: edges[1][-1], -1: edges[0][-1]}))
     junctions, signals, signs = _junctions(lanes, arms, limit)
     sidewalks += [walk for name in NODES for walk in _corners(np.array(NODES[name]), arms[name])]
@@ -141,7 +140,7 @@ def _junctions(
             last = lanes[arm.incoming[-1]]
             post, heading = (*last.points[-1, :2], 4.0), float(last.heading[-1])
             if CONTROL[name] == "signal":
-                group = int(round(abs(np.sin(arm.angle))))
+                group = round(abs(np.sin(arm.angle)))
                 signals.append(Signal(len(signals), number, tuple(arm.incoming), group, post, heading))
             signs += [Sign(CONTROL[name], i, post, heading) for i in arm.incoming if i in minor]
         junctions.append(

@@ -40,7 +40,7 @@ def put_user(board: Board, lane: int, vehicle: int, s: float, car: NDArray, clai
         return
     user = board.users[k]
     user.s, user.half, user.speed = s, 0.5 * car.length, car.speed
-    user.vehicle, user.claim, user.next = vehicle, claim, board.user_heads[lane]
+    user.vehicle, user.claim, user.meek, user.next = vehicle, claim, car.meek, board.user_heads[lane]
     board.user_heads[lane] = k
     board.used[1] = k + 1
 
@@ -79,7 +79,7 @@ def _write_footprint(roads: Roads, grid: Grid, ego: NDArray, index: int, board: 
     lanes = np.full(64, -1)
     where = np.zeros(64, np.int64)
     found = 0
-    r0, r1, c0, c1 = cell_range(grid, ego.x, ego.y)
+    r0, r1, c0, c1 = cell_range(grid, ego.x, ego.y, 0.5 * (ego.length + ego.width) + CORRIDOR)
     for r in range(r0, r1):
         for k in range(grid.start[r * grid.shape[1] + c0], grid.start[r * grid.shape[1] + c1]):
             p = roads.samples[grid.order[k]]

@@ -137,4 +137,3 @@ def drift(car: NDArray, metres: float) -> float:
     if abs(car.offset) < 0.25 * abs(car.offset0):
         car.leaving = -1
     return np.arctan(-car.offset0 * 30.0 * u * u * (1.0 - u) ** 2 / car.span)
-

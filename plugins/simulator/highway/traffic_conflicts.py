@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.town import Ints, Town
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid, cell_range
-from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LEAD, ZONE
+from me3bev_plugins.simulator.highway.traffic_records import APART, CROSS, HALF, LEAD, MERGE, SPLIT, ZONE
 
 HALF_WIDTHS = (1.25, 1.4)
-"""Half widths of the two classes of vehicles with their margins, metres."""
+"""Half widths of the small and the large vehicle with their margins, metres."""
 ALONGSIDE = 0.6
 """Paths that meet at less than this angle run together, radians."""
 LEVEL = 2.5
@@ -20,22 +20,27 @@ LEVEL = 2.5
 _POSE = np.dtype([("x", "f8"), ("y", "f8"), ("z", "f8"), ("heading", "f8"), ("s", "f8"), ("lane", "i4")], align=True)
 
 
-def find_zones(town: Town, lanes: NDArray, samples: NDArray, grid: Grid) -> NDArray:
-    """All zones (Z,), and in `lanes` which of them are whose. Lanes that follow one another have none."""
-    del grid  # Poses reach beyond the lanes' ends, so they have cells of their own.
+def find_zones(town: Town, lanes: NDArray, samples: NDArray) -> tuple[NDArray, Ints]:
+    """All zones, by the size of the vehicle on the lane and that of the other one. Lanes in a row have none.
+
+    Returns:
+        zones (Z,) and (4, L + 1): those of lane i for sizes own and other are
+        `start[2 * own + other, i] : start[2 * own + other, i + 1]`.
+    """
     near_start, near = _kin(town)
     found: list[NDArray] = []
+    start = np.zeros((4, len(lanes) + 1), np.int32)
     total = 0
-    for half, half_width, names in zip(HALF, HALF_WIDTHS, (("zone0", "zone1"), ("wide0", "wide1")), strict=True):
-        poses = _poses(lanes, samples, half)
-        rows = _meet(poses, build_grid(poses), near_start, near, half + 0.25, half_width, len(lanes))
-        zones = _records(town, rows)
-        owner = rows[:, 0].astype(np.int64)
-        lanes[names[0]] = total + np.searchsorted(owner, np.arange(len(lanes)), "left")
-        lanes[names[1]] = total + np.searchsorted(owner, np.arange(len(lanes)), "right")
-        found.append(zones)
-        total += len(zones)
-    return np.concatenate(found)
+    poses = [_poses(lanes, samples, half) for half in HALF]
+    grids = [build_grid(p) for p in poses]
+    for own in (0, 1):
+        for other in (0, 1):
+            boxes = (HALF[own] + 0.25, HALF_WIDTHS[own], HALF[other] + 0.25, HALF_WIDTHS[other])
+            rows = _meet(poses[own], poses[other], grids[other], near_start, near, boxes, len(lanes))
+            start[2 * own + other] = total + np.searchsorted(rows[:, 0], np.arange(len(lanes) + 1))
+            found.append(_records(town, rows))
+            total += len(rows)
+    return np.concatenate(found), start
 
 
 def _kin(town: Town) -> tuple[Ints, Ints]:
@@ -98,49 +103,25 @@ def boxes_touch(
 
 @njit(cache=True)
 def _meet(
-    poses: NDArray, grid: Grid, near_start: Ints, near: Ints, half: float, half_width: float, count: int
+    poses: NDArray,
+    others: NDArray,
+    grid: Grid,
+    near_start: Ints,
+    near: Ints,
+    boxes: tuple[float, float, float, float],
+    count: int,
 ) -> NDArray:
-    """Rows (lane, other, a0, a1, b0, b1, mean cosine of the angle between them), ordered by lane."""
-    reach = 2.0 * np.sqrt(half**2 + half_width**2)
-    cells = int(np.ceil(reach / 6.0))
+    """Rows (lane, other, a0, a1, b0, b1, mean cosine of the angle between them), ordered by lane and other."""
     box = np.zeros((count, 6))  # a0, a1, b0, b1, sum of cosines, number
     touched = np.zeros(count, np.int64)
-    cosine, sine = np.cos(poses["heading"]), np.sin(poses["heading"])
     rows = []
     begin = 0
-    # Poses of a lane stand together.
-    while begin < len(poses):
+    while begin < len(poses):  # Poses of a lane stand together.
         lane = poses[begin].lane
         end = begin
         touches = 0
         while end < len(poses) and poses[end].lane == lane:
-            p = poses[end]
-            r0, r1, c0, c1 = cell_range(grid, p.x, p.y)
-            r0, c0 = max(0, r0 + 1 - cells), max(0, c0 + 1 - cells)
-            r1, c1 = min(grid.shape[0], r1 - 1 + cells), min(grid.shape[1], c1 - 1 + cells)
-            for r in range(r0, r1):
-                for k in range(grid.start[r * grid.shape[1] + c0], grid.start[r * grid.shape[1] + c1]):
-                    q = grid.order[k]
-                    o = poses[q]
-                    if o.lane == lane or abs(o.z - p.z) > LEVEL:
-                        continue
-                    dx, dy = o.x - p.x, o.y - p.y
-                    if dx * dx + dy * dy > reach * reach:
-                        continue
-                    if not boxes_touch(
-                        dx, dy, cosine[end], sine[end], cosine[q], sine[q], half, half_width, half, half_width
-                    ):
-                        continue
-                    entry = box[o.lane]
-                    if entry[5] == 0.0:
-                        touched[touches] = o.lane
-                        touches += 1
-                        entry[0] = entry[1] = p.s
-                        entry[2] = entry[3] = o.s
-                    entry[0], entry[1] = min(entry[0], p.s), max(entry[1], p.s)
-                    entry[2], entry[3] = min(entry[2], o.s), max(entry[3], o.s)
-                    entry[4] += cosine[end] * cosine[q] + sine[end] * sine[q]
-                    entry[5] += 1.0
+            touches = _touch(poses[end], others, grid, boxes, box, touched, touches)
             end += 1
         for other in np.sort(touched[:touches]):
             entry = box[other]
@@ -158,6 +139,43 @@ def _meet(
     return result
 
 
+@njit(cache=True)
+def _touch(
+    p: NDArray,
+    others: NDArray,
+    grid: Grid,
+    boxes: tuple[float, float, float, float],
+    box: NDArray,
+    touched: NDArray,
+    touches: int,
+) -> int:
+    """Fold all poses of other lanes at which a vehicle would touch one at pose `p` into `box` (L, 6)."""
+    la, wa, lb, wb = boxes
+    reach = np.sqrt(la**2 + wa**2) + np.sqrt(lb**2 + wb**2)
+    ca, sa = np.cos(p.heading), np.sin(p.heading)
+    r0, r1, c0, c1 = cell_range(grid, p.x, p.y, reach)
+    for r in range(r0, r1):
+        for k in range(grid.start[r * grid.shape[1] + c0], grid.start[r * grid.shape[1] + c1]):
+            o = others[grid.order[k]]
+            dx, dy = o.x - p.x, o.y - p.y
+            if o.lane == p.lane or abs(o.z - p.z) > LEVEL or dx * dx + dy * dy > reach * reach:
+                continue
+            cb, sb = np.cos(o.heading), np.sin(o.heading)
+            if not boxes_touch(dx, dy, ca, sa, cb, sb, la, wa, lb, wb):
+                continue
+            entry = box[o.lane]
+            if entry[5] == 0.0:
+                touched[touches] = o.lane
+                touches += 1
+                entry[0] = entry[1] = p.s
+                entry[2] = entry[3] = o.s
+            entry[0], entry[1] = min(entry[0], p.s), max(entry[1], p.s)
+            entry[2], entry[3] = min(entry[2], o.s), max(entry[3], o.s)
+            entry[4] += ca * cb + sa * sb
+            entry[5] += 1.0
+    return touches
+
+
 def _records(town: Town, rows: NDArray) -> NDArray:
     """Zones from the rows of `_meet`: of which kind, and how arc lengths on the two lanes correspond."""
     zones = np.zeros(len(rows), ZONE)
@@ -168,7 +186,7 @@ def _records(town: Town, rows: NDArray) -> NDArray:
         lane, other = town.lanes[int(row[0])], town.lanes[int(row[1])]
         split = bool(set(lane.predecessors) & set(other.predecessors))
         merge = bool(set(lane.successors) & set(other.successors))
-        zone["split"] = split
+        zone["joint"] = SPLIT if split else MERGE if merge else APART
         zone["kind"] = LEAD if split or merge or row[6] > np.cos(ALONGSIDE) else CROSS
         zone["ratio"] = 1.0
         if merge and not split:

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.town import Floats, Ints
-from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, LEAD
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, MERGE
 from me3bev_plugins.simulator.highway.traffic_state import Board, speed_at
 from me3bev_plugins.simulator.highway.traffic_tables import EASE, Roads
 
@@ -80,6 +80,8 @@ def drive(roads: Roads, board: Board, car: NDArray, path: Ints, i: int) -> float
         wanted = min(wanted, np.sqrt(entry * entry + 2.0 * EASE * start))
     free = free_road(idm, car.speed, wanted * car.eager)
     accel = free
+    if car.meek:
+        accel = min(accel, halt(idm, free, car.speed, car.hold - 0.5))
     start = -car.s
     half = 0.5 * car.length
     for k in range(car.count):
@@ -94,7 +96,7 @@ def drive(roads: Roads, board: Board, car: NDArray, path: Ints, i: int) -> float
             if line < decision_distance(car.speed) + 1.0:
                 accel = min(accel, halt(idm, free, car.speed, line))
             break
-        accel = min(accel, _meet_zones(roads, board, car, lane, start, i, free))
+        accel = min(accel, _meet_zones(roads, board, car, path[k], start, i, free))
         accel = min(accel, _meet_walkers(roads, board, car, lane, start, free))
         blocked, value = _meet_leader(roads, board, car, path[k], start, i, free)
         accel = min(accel, value)
@@ -129,26 +131,26 @@ def _meet_leader(
 
 
 @njit(cache=True)
-def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: NDArray, start: float, i: int, free: float) -> float:
+def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: int, start: float, i: int, free: float) -> float:
     """Acceleration for those who are where other lanes meet this one."""
     accel = free
-    for size in range(car.size, 2):
-        first, last = (lane.zone0, lane.zone1) if size == 0 else (lane.wide0, lane.wide1)
-        own = 0.5 * car.length - HALF[size]
-        for z in range(first, last):
+    own = 0.5 * car.length - HALF[car.size]
+    for size in range(2):
+        pair = 2 * car.size + size
+        for z in range(roads.zone_start[pair, lane], roads.zone_start[pair, lane + 1]):
             zone = roads.zones[z]
-            if zone.kind == LEAD and not zone.split:
+            if start + zone.a1 + own < 0.0:
+                continue
+            if zone.joint == MERGE and start + zone.a0 > own:
                 accel = min(accel, _file_in(roads, board, car, zone, start, i, free, size))
             k = board.heads[zone.other]
-            if k < 0 or start + zone.a1 + own < 0.0:
-                continue
             while k >= 0:
                 entry = board.entries[k]
                 k = entry.next
                 over = entry.half - HALF[size]
                 if entry.vehicle == i or entry.s < zone.b0 - over or entry.s > zone.b1 + over:
                     continue
-                if max(car.size, int(entry.half > LARGE)) != size:
+                if int(entry.half > LARGE) != size:
                     continue
                 if zone.kind == CROSS:
                     room = start + zone.a0 - own
@@ -172,11 +174,12 @@ def _file_in(
     while k >= 0:
         user = board.users[k]
         k = user.next
-        if user.vehicle == i or user.claim or max(car.size, int(user.half > LARGE)) != size:
+        if user.vehicle == i or user.claim or int(user.half > LARGE) != size:
             continue
-        if user.s > zone.b1 + user.half - HALF[size]:
+        over = user.half - HALF[size]
+        if user.s > zone.b1 + over or (user.meek and user.s < zone.b0 - over):
             continue
-        distance = start + zone.at_a + (user.s - zone.at_b) * zone.ratio
+        distance = start + zone.at_a + user.s - zone.at_b
         if distance > 0.0 or (distance == 0.0 and user.vehicle < i):
             lengths = 0.5 * car.length + user.half
             accel = min(accel, follow(roads.idm, free, car.speed, user.speed, distance, lengths))
@@ -184,9 +187,7 @@ def _file_in(
 
 
 @njit(cache=True)
-def _meet_walkers(
-    roads: Roads, board: Board, car: NDArray, lane: NDArray, start: float, free: float
-) -> float:
+def _meet_walkers(roads: Roads, board: Board, car: NDArray, lane: NDArray, start: float, free: float) -> float:
     """Acceleration for pedestrians in the way, and for those who wait where they may cross."""
     accel = free
     half = 0.5 * car.length
@@ -195,6 +196,8 @@ def _meet_walkers(
         ahead = start + link.s - half
         if ahead < -half:
             continue
-        if board.walkers[k] > 0.0 or (board.asked[link.crossing] and ahead - CURB_GAP > car.speed * car.speed / (2.0 * 2.5)):
+        if board.walkers[k] > 0.0 or (
+            board.asked[link.crossing] and ahead - CURB_GAP > car.speed * car.speed / (2.0 * 2.5)
+        ):
             accel = min(accel, halt(roads.idm, free, car.speed, ahead - CURB_GAP))
     return accel

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from me3bev_plugins.simulator.highway.town import Floats, Ints
 
 CELL = 6.0
-"""Side of a cell, metres: everything within that of a point is in the 3 x 3 cells around it."""
+"""Side of a cell, metres."""
 
 
 class Grid(NamedTuple):
@@ -37,7 +37,13 @@ def build_grid(points: NDArray) -> Grid:
 
 
 @njit(cache=True)
-def cell_range(grid: Grid, x: float, y: float) -> tuple[int, int, int, int]:
-    """(first row, end row, first column, end column) of the cells around a point."""
-    row, column = int(np.floor((y - grid.origin[1]) / CELL)), int(np.floor((x - grid.origin[0]) / CELL))
-    return max(0, row - 1), min(grid.shape[0], row + 2), max(0, column - 1), min(grid.shape[1], column + 2)
+def cell_range(grid: Grid, x: float, y: float, reach: float) -> tuple[int, int, int, int]:
+    """(first row, end row, first column, end column) of the cells within `reach` metres of a point."""
+    row0, row1 = (y - reach - grid.origin[1]) / CELL, (y + reach - grid.origin[1]) / CELL
+    column0, column1 = (x - reach - grid.origin[0]) / CELL, (x + reach - grid.origin[0]) / CELL
+    return (
+        max(0, int(np.floor(row0))),
+        min(grid.shape[0], int(np.floor(row1)) + 1),
+        max(0, int(np.floor(column0))),
+        min(grid.shape[1], int(np.floor(column1)) + 1),
+    )

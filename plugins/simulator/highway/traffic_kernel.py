@@ -9,6 +9,7 @@ from me3bev_plugins.simulator.highway.signals import SignalPlan, write_lights
 from me3bev_plugins.simulator.highway.town import Floats
 from me3bev_plugins.simulator.highway.traffic_board import write_entries, write_users
 from me3bev_plugins.simulator.highway.traffic_changes import change_lanes, drift
+from me3bev_plugins.simulator.highway.traffic_claims import hold_distance
 from me3bev_plugins.simulator.highway.traffic_drive import CURB_GAP, drive
 from me3bev_plugins.simulator.highway.traffic_grid import Grid
 from me3bev_plugins.simulator.highway.traffic_records import TRAIL
@@ -16,6 +17,8 @@ from me3bev_plugins.simulator.highway.traffic_right_of_way import grant_gates, n
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, advance, place
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
+MEEK_AFTER = 3.0
+"""Who has stood inside a junction, or granted before it, for so long lets others go first, seconds."""
 GENTLE = 2.5
 """Deceleration with which a driver yields to pedestrians, m/s^2."""
 
@@ -32,12 +35,18 @@ def decide(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float) -> 
     """Settle the right of way and every vehicle's acceleration; the ego drives itself."""
     ego = len(fleet.cars) - 1
     write_users(roads, fleet, board)
-    revoke(roads, fleet, board)
+    revoke(roads, fleet, board, time)
     gate, line = next_gate(roads, fleet.cars[ego], fleet.path[ego])
     if gate > 0 and line < -0.3:
         fleet.cars[ego].clear = gate  # It is in already, with right of way or without.
     write_users(roads, fleet, board)
     grant_gates(roads, fleet, board, time, dt)
+    for i in range(len(fleet.cars)):
+        car = fleet.cars[i]
+        inside = car.clear > 0 or roads.lanes[fleet.path[i, 0]].gate
+        car.meek = int(inside and (car.meek or car.still > MEEK_AFTER))
+        if car.meek:
+            car.hold = hold_distance(roads, board, car, fleet.path[i], i)
     for i in range(ego):
         fleet.cars[i].accel = drive(roads, board, fleet.cars[i], fleet.path[i], i)
 

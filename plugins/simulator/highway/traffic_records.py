@@ -19,11 +19,13 @@ SMALL, MEDIUM, LONG = 1, 2, 4
 GO, YIELD, STOP = 0, 1, 2
 """Values of `LANE.sign`."""
 CROSS, LEAD = 0, 1
-"""Values of `ZONE.kind`: paths that cross, paths that run together (split, merge or overlap)."""
+"""Values of `ZONE.kind`: paths that cross, paths that run together."""
+APART, SPLIT, MERGE = 0, 1, 2
+"""Values of `ZONE.joint`: nothing in common, the lane before both, the lane after both."""
 HALF = (2.5, 4.5)
-"""Half lengths of the vehicles for which the two classes of zones were measured, metres."""
+"""Half lengths of the small and the large vehicle for which zones were measured, metres."""
 LARGE = 3.1
-"""Half length beyond which a vehicle belongs to the second class, metres."""
+"""Half length beyond which a vehicle is large, metres."""
 
 LANE = np.dtype(
     [
@@ -47,10 +49,6 @@ LANE = np.dtype(
         ("turn", "i4"),  # 0 straight, 1 right, 2 left, 3 back
         ("follow0", "i4"),  # successors
         ("follow1", "i4"),
-        ("zone0", "i4"),  # zones between small vehicles
-        ("zone1", "i4"),
-        ("wide0", "i4"),  # zones where one of the two is large
-        ("wide1", "i4"),
         ("cross0", "i4"),  # crossings of pedestrians
         ("cross1", "i4"),
     ],
@@ -73,7 +71,7 @@ ZONE = np.dtype(
         ("ratio", "f8"),
         ("other", "i4"),
         ("kind", "i4"),
-        ("split", "i4"),  # 1: both begin at the end of the same lane
+        ("joint", "i4"),  # what the two lanes have in common
     ],
     align=True,
 )
@@ -104,6 +102,7 @@ VEHICLE = np.dtype(
         ("wait", "f8"),  # for how long it has stood there
         ("jam", "f8"),  # for how long there has been no room beyond
         ("still", "f8"),  # for how long it has stood
+        ("hold", "f8"),  # how far it may go inside a junction, metres
         ("timer", "f8"),  # until it thinks of another lane
         ("rng", "u8"),
         ("kind", "i4"),
@@ -113,6 +112,7 @@ VEHICLE = np.dtype(
         ("clear", "i4"),  # how far along its path it may go through gates
         ("gate", "i4"),  # the gate for which `arrival` holds, or -1
         ("halted", "i4"),  # lane at whose stop sign it has stopped, or -1
+        ("meek", "i4"),  # 1: it has stood in a junction for so long that others need not wait for it
         ("leaving", "i4"),  # lane being left, or -1
     ],
     align=True,
@@ -125,6 +125,7 @@ ENTRY = np.dtype(
 """A vehicle on a lane, in a list per lane; `s` may lie beyond the lane's ends when only a part of it is there."""
 
 USER = np.dtype(
-    [("s", "f8"), ("half", "f8"), ("speed", "f8"), ("vehicle", "i4"), ("claim", "i4"), ("next", "i4")], align=True
+    [("s", "f8"), ("half", "f8"), ("speed", "f8"), ("vehicle", "i4"), ("claim", "i4"), ("meek", "i4"), ("next", "i4")],
+    align=True,
 )
 """A vehicle that may use a connector (or, `claim`, is next to): `s` of its centre, negative before the connector."""

@@ -1,9 +1,9 @@
 """Who may enter a junction: every gate is granted to one vehicle after another.
 
 A vehicle near a gate is granted it when its light and sign allow it, nobody else has, or is sooner to claim, a path
-that meets its own, and there is room for it beyond. The order is: those who have waited long, then by rank (main
-road before minor, straight on before turning across), then by arrival, then by index; so somebody is always first
-and nobody waits for ever.
+that meets its own, and there is room for it beyond. The order is: those between two gates so near that they stand in
+the way, those who have waited long, then by rank (main road before minor, straight on before turning across), then
+by arrival, then by index; so somebody is always first and nobody waits for ever.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from me3bev_plugins.simulator.highway.scene import Light
 from me3bev_plugins.simulator.highway.town import Ints
 from me3bev_plugins.simulator.highway.traffic_board import BERTH, put_user
+from me3bev_plugins.simulator.highway.traffic_claims import conflicts
 from me3bev_plugins.simulator.highway.traffic_drive import decision_distance
-from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, STOP
+from me3bev_plugins.simulator.highway.traffic_records import STOP
+from me3bev_plugins.simulator.highway.traffic_room import chain_end, has_room, is_between
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, choose_next
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
@@ -30,8 +32,6 @@ EGO_CLAIM = 15.0
 """Within this distance the ego claims its gate, metres."""
 STOPPABLE = 3.5
 """An amber light is obeyed if this deceleration is enough, m/s^2."""
-BRISK = 2.0
-"""Acceleration with which a vehicle is expected to clear a junction, m/s^2."""
 _RED, _AMBER = int(Light.RED), int(Light.AMBER)
 
 GRANTED, CONFLICT, NO_ROOM, BARRED = 0, 1, 2, 3
@@ -59,7 +59,9 @@ def grant_gates(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float
             continue
         _note_arrival(roads, car, path, gate, line, time, dt)
         rank = float(roads.lanes[path[gate]].rank)
-        if car.wait > PATIENCE:
+        if is_between(roads, car, path, fleet.trail[i], gate):
+            rank = -2.0
+        elif car.wait > PATIENCE:
             rank = -1.0
         # Insertion keeps the candidates ordered by (rank, arrival, index).
         at = waiting
@@ -88,7 +90,7 @@ def next_gate(roads: Roads, car: NDArray, path: Ints) -> tuple[int, float]:
 
 
 @njit(cache=True)
-def revoke(roads: Roads, fleet: Fleet, board: Board) -> None:
+def revoke(roads: Roads, fleet: Fleet, board: Board, time: float) -> None:
     """Take back grants of vehicles still before the line: the light has changed, or they have stood too long."""
     for i in range(len(fleet.cars)):
         car, path = fleet.cars[i], fleet.path[i]
@@ -106,8 +108,11 @@ def revoke(roads: Roads, fleet: Fleet, board: Board) -> None:
         line = start - 0.5 * car.length
         if line <= 0.0 or roads.lanes[path[0]].gate:
             continue
-        if not _light_allows(roads, board, car, path[k - 1], line) or car.still > LAPSE:
+        if not _light_allows(roads, board, car, path[k - 1], line):
             car.clear = 0
+        elif car.still > LAPSE:
+            car.clear = 0
+            car.arrival, car.wait, car.still = time, -PATIENCE, 0.0  # To the end of the queue.
 
 
 @njit(cache=True)
@@ -136,11 +141,12 @@ def _note_arrival(roads: Roads, car: NDArray, path: Ints, gate: int, line: float
 def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line: float, dt: float) -> None:
     """Grant vehicle `i` its gate, or let it claim the path if only others are in its way."""
     car, path = fleet.cars[i], fleet.path[i]
-    last = _chain_end(roads, car, path, gate)
-    verdict = _judge(roads, fleet, board, i, gate, last, line)
+    between = is_between(roads, car, path, fleet.trail[i], gate)
+    last = chain_end(roads, car, path, gate, between)
+    verdict = _judge(roads, fleet, board, i, gate, last, line, between)
     if verdict == GRANTED:
         car.clear = last
-        car.jam = 0.0
+        car.jam = car.still = 0.0
         start = -car.s
         for k in range(last + 1):
             if k >= gate and roads.lanes[path[k]].gate:
@@ -171,27 +177,9 @@ def _take_detour(roads: Roads, car: NDArray, path: Ints, gate: int) -> None:
 
 
 @njit(cache=True)
-def _chain_end(roads: Roads, car: NDArray, path: Ints, gate: int) -> int:
-    """The last gate that must be granted with this one, because the vehicle could not stop clear of it between."""
-    last, between = gate, 0.0
-    for k in range(gate + 1, car.count):
-        lane = roads.lanes[path[k]]
-        if lane.gate:
-            before = roads.lanes[path[k - 1]]
-            need = car.length + roads.lanes[path[last + 1]].clear + 1.0
-            if k > last + 1 and between - (before.length - before.stop) > need:
-                break
-            last, between = k, 0.0
-            continue
-        between += lane.length
-        if between > 40.0:
-            break
-    return last
-
-
-@njit(cache=True)
-def _judge(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: int, line: float) -> int:
+def _judge(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: int, line: float, between: bool) -> int:
     car, path = fleet.cars[i], fleet.path[i]
+    # One between two gates heeds no claims: the claimant may be waiting for it to get out of the way.
     if not _leader_is_through(roads, fleet, board, i, gate):
         return BARRED
     before = roads.lanes[path[gate - 1]]
@@ -204,9 +192,9 @@ def _judge(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: in
         if k >= gate and lane.gate:
             if not _light_allows(roads, board, car, path[k - 1], line):
                 return BARRED
-            clash = clash or _conflicts(roads, fleet, board, i, lane, start)
+            clash = clash or conflicts(roads, board, car, i, path[k], start, not between)
         start += lane.length
-    if not _has_room(roads, board, car, path, last):
+    if not has_room(roads, fleet, board, i, gate, last):
         return NO_ROOM
     return CONFLICT if clash else GRANTED
 
@@ -228,81 +216,3 @@ def _leader_is_through(roads: Roads, fleet: Fleet, board: Board, i: int, gate: i
                 return False
         start += roads.lanes[path[k]].length
     return True
-
-
-@njit(cache=True)
-def _has_room(roads: Roads, board: Board, car: NDArray, path: Ints, last: int) -> bool:
-    """Whether the vehicle can stand clear of the last gate, behind those who are there or on their way."""
-    if last + 1 >= car.count:
-        return True
-    room = 0.0
-    for k in range(last + 1, car.count):
-        lane = roads.lanes[path[k]]
-        if lane.gate:
-            before = roads.lanes[path[k - 1]]
-            room -= before.length - before.stop + 0.5
-            break
-        rear, speed = np.inf, 0.0
-        n = board.heads[path[k]]
-        while n >= 0:
-            entry = board.entries[n]
-            n = entry.next
-            if entry.s - entry.half < rear and entry.s >= 0.0:
-                rear, speed = entry.s - entry.half, entry.speed
-        if rear < np.inf:
-            room += rear + 2.0 * max(speed, 0.0) - 5.0
-            break
-        room += lane.length
-        if room > 80.0:
-            return True
-    return room - board.bound[path[last + 1]] > car.length + roads.lanes[path[last + 1]].clear
-
-
-@njit(cache=True)
-def _time_to(metres: float, speed: float, accel: float, limit: float) -> float:
-    """Seconds to cover a distance, speeding up to a limit."""
-    if metres <= 0.0:
-        return 0.0
-    limit = max(limit, speed, 0.5)
-    ramp = (limit * limit - speed * speed) / (2.0 * accel)
-    if metres <= ramp:
-        return (np.sqrt(speed * speed + 2.0 * accel * metres) - speed) / accel
-    return (limit - speed) / accel + (metres - ramp) / limit
-
-
-@njit(cache=True)
-def _conflicts(roads: Roads, fleet: Fleet, board: Board, i: int, lane: NDArray, start: float) -> bool:
-    """Whether a user or claimant of another connector is in the way of vehicle `i` on this one."""
-    car = fleet.cars[i]
-    for size in range(car.size, 2):
-        first, last = (lane.zone0, lane.zone1) if size == 0 else (lane.wide0, lane.wide1)
-        own = 0.5 * car.length - HALF[size]
-        for z in range(first, last):
-            zone = roads.zones[z]
-            if zone.split:
-                continue
-            k = board.user_heads[zone.other]
-            while k >= 0:
-                user = board.users[k]
-                k = user.next
-                if user.vehicle == i or max(car.size, int(user.half > LARGE)) != size:
-                    continue
-                over = user.half - HALF[size]
-                if user.s > zone.b1 + over + 0.5:
-                    continue
-                if user.claim:
-                    return True
-                if zone.kind == CROSS:
-                    mine = _time_to(start + zone.a1 + own, car.speed, BRISK, max(lane.speed, 4.0))
-                    theirs = _time_to(zone.b0 - over - user.s, user.speed, 3.5, roads.lanes[zone.other].limit)
-                    if mine + 1.0 > theirs:
-                        return True
-                    continue
-                ahead = start + zone.at_a + (user.s - zone.at_b) * zone.ratio
-                clear = 0.5 * car.length + user.half + 2.0
-                if ahead > clear:
-                    continue
-                gain = max(0.0, user.speed**2 - car.speed**2) / 5.0
-                if -ahead < clear + user.speed + gain:
-                    return True
-    return False

@@ -23,6 +23,7 @@ from me3bev_plugins.simulator.highway.traffic_records import (
     SAMPLE,
     SMALL,
     SPACING,
+    SPLIT,
     STOP,
     YIELD,
 )
@@ -50,6 +51,9 @@ class Roads(NamedTuple):
     """Successors of all lanes, in one row."""
     zones: NDArray
     """(Z,) `ZONE`"""
+    zone_start: Ints
+    """(4, L + 1): zones of lane i for a vehicle of size own and another one of size other are
+    `zone_start[2 * own + other, i] : zone_start[2 * own + other, i + 1]`."""
     links: NDArray
     """(K,) `LINK`"""
     idm: Floats
@@ -85,13 +89,13 @@ def tables(town: Town) -> Tables:
     lanes, samples = _sample(town)
     follow = town.arrays.successor
     _control(town, lanes)
-    _admit(town, lanes, samples)
     grid = build_grid(samples)
-    zones = find_zones(town, lanes, samples, grid)
+    zones, zone_start = find_zones(town, lanes, samples)
     walks, links = build_walks(town, lanes, samples, grid)
-    _gates(town, lanes, zones)
-    _stop_lines(lanes, zones, links, follow)
-    return Tables(Roads(lanes, samples, follow, zones, links, idm_parameters()), grid, walks)
+    _gates(town, lanes, zones, zone_start)
+    _admit(town, lanes, samples, zones, zone_start)
+    _stop_lines(lanes, zones, zone_start, links, follow)
+    return Tables(Roads(lanes, samples, follow, zones, zone_start, links, idm_parameters()), grid, walks)
 
 
 def _sample(town: Town) -> tuple[NDArray, NDArray]:
@@ -162,8 +166,10 @@ def _control(town: Town, lanes: NDArray) -> None:
             lanes["rank"][connector] = 2 * gives_way + turns_across
 
 
-def _admit(town: Town, lanes: NDArray, samples: NDArray) -> None:
+def _admit(town: Town, lanes: NDArray, samples: NDArray, zones: NDArray, zone_start: Ints) -> None:
     """Which sizes of vehicles may use a lane: wide enough in its bends, and with a way on that never ends."""
+    gate = lanes["gate"] > 0
+    roomy = np.array([not _sweeps_far(lanes, zones, zone_start, i) for i in range(len(lanes))])
     sharpest = np.zeros(len(lanes))
     for i, lane in enumerate(lanes):
         piece = samples[lane["first"] : lane["first"] + lane["count"]]
@@ -175,9 +181,42 @@ def _admit(town: Town, lanes: NDArray, samples: NDArray) -> None:
     for size, length in _LENGTHS.items():
         # Half of the sagitta over its length: a vehicle with both axles on the line sweeps that much to either side.
         sweep = length**2 * sharpest / 16 + 1.25
-        fits = _endless(town, endless & (sweep <= lanes["width"] / 2 + 0.2))
+        stays = np.array([_leaves_room(town, lanes, gate, i, length) for i in range(len(lanes))])
+        fits = _endless(town, endless & roomy & stays & (sweep <= lanes["width"] / 2 + 0.2))
         if (lanes["length"] * fits).sum() > 0.2 * lanes["length"].sum():
             lanes["admits"] |= np.where(fits, size, 0)
+
+
+def _sweeps_far(lanes: NDArray, zones: NDArray, zone_start: Ints, lane: int) -> bool:
+    """Whether a large vehicle on a connector would need more of the roads beside it than small ones leave it there."""
+    if lanes["junction"][lane] < 0:
+        return False
+    for zone in zones[zone_start[2, lane] : zone_start[2, lane + 1]]:
+        other = lanes[zone["other"]]
+        if other["junction"] >= 0:
+            continue
+        at_end = zone["b0"] + HALF[0] >= max(other["length"] - REACH, 0.5 * other["length"])
+        at_start = zone["b1"] - HALF[0] <= min(REACH, 0.5 * other["length"])
+        if not (at_end or at_start):
+            return True
+    return False
+
+
+def _leaves_room(town: Town, lanes: NDArray, gate: NDArray[np.bool_], lane: int, length: float) -> bool:
+    """Whether a vehicle of a length that leaves a connector can stand clear of every next one."""
+    if not gate[lane]:
+        return True
+    frontier = [(n, 0.0) for n in town.lanes[lane].successors]
+    while frontier:
+        current, metres = frontier.pop()
+        if gate[current]:
+            if 0.0 < metres < length + 2 * REACH:
+                return False
+            continue
+        metres += town.lanes[current].length
+        if metres < length + 2 * REACH:
+            frontier += [(n, metres) for n in town.lanes[current].successors]
+    return True
 
 
 def _endless(town: Town, allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -189,32 +228,35 @@ def _endless(town: Town, allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
         if not alive[lost]:
             continue
         alive[lost] = False
-        doomed += [p for p in town.lanes[lost].predecessors if alive[p] and not any(alive[list(town.lanes[p].successors)])]
+        doomed += [
+            p for p in town.lanes[lost].predecessors if alive[p] and not any(alive[list(town.lanes[p].successors)])
+        ]
     return alive
 
 
-def _gates(town: Town, lanes: NDArray, zones: NDArray) -> None:
+def _gates(town: Town, lanes: NDArray, zones: NDArray, zone_start: Ints) -> None:
     """Connectors that may only be entered when granted: those that meet others, and those behind a signal or sign."""
     for lane in town.lanes:
         if lane.junction is None:
             continue
-        first, last = lanes["zone0"][lane.id], lanes["zone1"][lane.id]
-        meets = ((zones["kind"][first:last] == CROSS) | (zones["split"][first:last] == 0)).any()
+        own = zones[zone_start[0, lane.id] : zone_start[0, lane.id + 1]]
+        meets = ((own["kind"] == CROSS) | (own["joint"] != SPLIT)).any()
         controlled = any(lanes["signal"][p] >= 0 or lanes["sign"][p] != GO for p in lane.predecessors)
         lanes["gate"][lane.id] = int(meets or controlled)
 
 
-def _stop_lines(lanes: NDArray, zones: NDArray, links: NDArray, follow: Ints) -> None:
+def _stop_lines(lanes: NDArray, zones: NDArray, zone_start: Ints, links: NDArray, follow: Ints) -> None:
     """Where vehicles that wait at a gate, or have just left one, are out of everybody's way.
 
     Fronts halt before pedestrians' crossings and before what others sweep as they turn; rears must get beyond it.
     """
-    for lane in lanes:
+    for i, lane in enumerate(lanes):
         if lane["junction"] >= 0:
             continue
         stop, clear = lane["length"], 0.5
-        for names, half in zip((("zone0", "zone1"), ("wide0", "wide1")), HALF, strict=True):
-            for zone in zones[lane[names[0]] : lane[names[1]]]:
+        for pair in range(4):
+            half = HALF[pair // 2]
+            for zone in zones[zone_start[pair, i] : zone_start[pair, i + 1]]:
                 if not lanes["gate"][zone["other"]]:
                     continue
                 if zone["a0"] + half > lane["length"] - REACH:
