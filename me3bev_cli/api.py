@@ -301,7 +301,7 @@ class SimulatorPlugin(Protocol):
         do not look), `road` (9,), `vehicle` (4,), `navigation` (5,) float32. Actions are (steering,
         longitudinal) in [-1, 1]; positive steering turns left. `info["record"]` holds a `StepRecord`.
         The unwrapped environment has `autopilot() -> action`, a rule-based driver's choice for the current
-        state, and `bev_semantics() -> (200, 200) uint8`, classes as `BEV_CLASSES`, row 0 farthest ahead,
-        column 0 farthest left, 0.5 m per cell.
+        state, `pose() -> (x, y, heading)` of the ego, and `bev_semantics() -> (200, 200) uint8`, classes as
+        `BEV_CLASSES`, row 0 farthest ahead, column 0 farthest left, 0.5 m per cell.
         """
         ...

@@ -72,6 +72,9 @@ class LineEnv(gymnasium.Env[dict[str, Any], Any]):
     def autopilot(self) -> Any:
         return np.array([0.0, 1.0], np.float32)
 
+    def pose(self) -> tuple[float, float, float]:
+        return self.x, 0.0, 0.0
+
     def bev_semantics(self) -> Any:
         classes = np.zeros((200, 200), np.uint8)
         classes[:, 90:110] = 1

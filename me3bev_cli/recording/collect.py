@@ -1,39 +1,102 @@
-"""Drives episodes and records each as one MCAP file."""
+"""Drives episodes and records each as one MCAP file, in several processes if asked."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from me3bev_cli.api import Rig
+from me3bev_cli.api import SimulatorPlugin
+from me3bev_cli.evaluation.drivers import Driver, DriverSpec
+from me3bev_cli.evaluation.runner import World
+from me3bev_cli.parallel import run_jobs
 from me3bev_cli.recording.writer import EpisodeWriter
-
-Act = Callable[[Mapping[str, NDArray[Any]], Any], NDArray[np.float32]]
-"""(observation, environment) -> action."""
-
-
-def episode_path(folder: Path, place: str, density: str, index: int) -> Path:
-    """The file of an episode: its name says which one it is."""
-    return folder / f"{place}-{density}-{index:05d}.mcap"
+from me3bev_cli.seeding import derive_seed
+from me3bev_cli.training.run import versions
 
 
-def record_episode(
-    env: Any, rig: Rig, act: Act, path: Path, metadata: Mapping[str, str], *, seed: int, quality: int
-) -> int:
-    """Drive one episode and write it; returns its number of steps."""
+class Take(NamedTuple):
+    """One episode to record."""
+
+    place: str
+    density: str
+    number: int
+
+    def path(self, folder: Path) -> Path:
+        """The file of the episode: its name says which one it is."""
+        return folder / f"{self.place}-{self.density}-{self.number:05d}.mcap"
+
+
+@dataclass
+class Recorder:
+    """Records takes in one process; simulator and driver are made at the first and kept."""
+
+    world: World
+    spec: DriverSpec
+    seed: int
+    folder: Path
+    quality: int
+    _simulator: SimulatorPlugin | None = field(default=None, init=False, repr=False)
+    _driver: Driver | None = field(default=None, init=False, repr=False)
+
+    def __call__(self, take: Take) -> int:
+        self._simulator = self._simulator or self.world.open()
+        self._driver = self._driver or self.spec.make()
+        observation = self.world.observation
+        env = self._simulator.make_env(observation, map=take.place, density=take.density)
+        seed = derive_seed("collection", self.seed, *take)
+        metadata = {
+            "driver": self.spec.label,
+            "recipe": self.spec.recipe.name if self.spec.recipe else "",
+            "map": take.place,
+            "density": take.density,
+            "index": str(take.number),
+            "seed": str(seed),
+            **{f"version.{name}": number for name, number in versions().items()},
+        }
+        with (
+            closing(env),
+            EpisodeWriter(take.path(self.folder), self._simulator.rig(observation), metadata, self.quality) as writer,
+        ):
+            return record(env, self._driver, writer, seed)
+
+
+def record(env: Any, driver: Driver, writer: EpisodeWriter, seed: int) -> int:
+    """Drive one episode and write its steps; returns how many there were."""
     observation, _ = env.reset(seed=seed)
+    driver.begin(env, seed)
     steps, done = 0, False
-    with EpisodeWriter(path, rig, {**metadata, "seed": str(seed)}, quality) as writer:
-        while not done:
-            bev = env.unwrapped.bev_semantics()
-            action = act(observation, env)
-            after, _, terminated, truncated, info = env.step(action)
-            record = info["record"]
-            writer.add(observation, action, record, bev, (record["x"], record["y"], record["heading"]))
-            observation, done = after, terminated or truncated
-            steps += 1
+    while not done:
+        bev = env.unwrapped.bev_semantics()
+        pose = env.unwrapped.pose()
+        action = driver.act(observation, env)
+        after, _, terminated, truncated, info = env.step(action)
+        writer.add(observation, action, info["record"], bev, pose)
+        observation, done = after, terminated or truncated
+        steps += 1
     return steps
+
+
+def collect(
+    recorder: Recorder,
+    takes: Sequence[Take],
+    workers: int,
+    shown: Callable[[Take, int], None] | None = None,
+) -> int:
+    """Record what is not there yet; returns the number of files written.
+
+    A file under its final name is whole, so a collection that was cut off goes on where it stopped.
+    """
+    recorder.folder.mkdir(parents=True, exist_ok=True)
+    for part in recorder.folder.glob(".*.mcap.part"):
+        part.unlink()
+    missing = [take for take in takes if not take.path(recorder.folder).exists()]
+
+    def report(index: int, steps: int) -> None:
+        if shown is not None:
+            shown(missing[index], steps)
+
+    run_jobs(recorder, missing, workers, report)
+    return len(missing)

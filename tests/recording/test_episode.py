@@ -12,9 +12,13 @@ from mcap.reader import make_reader
 
 from me3bev_cli.api import CAMERA_NAMES, Camera, ObservationConfig
 from me3bev_cli.errors import LogError
+from me3bev_cli.evaluation.drivers import Autopilot, DriverSpec
+from me3bev_cli.evaluation.runner import World
+from me3bev_cli.recipe import PluginChoice
 from me3bev_cli.recording import messages
-from me3bev_cli.recording.collect import episode_path, record_episode
+from me3bev_cli.recording.collect import Recorder, Take, collect, record
 from me3bev_cli.recording.reader import episode_files, read_metadata, read_steps
+from me3bev_cli.recording.writer import EpisodeWriter
 
 OBSERVATION = ObservationConfig(height=16, width=32)
 
@@ -22,10 +26,9 @@ OBSERVATION = ObservationConfig(height=16, width=32)
 def write(folder: Path, quality: int = 0) -> Path:
     simulator = LineSimulator(None)
     env = simulator.make_env(OBSERVATION, map="F1", density="low")
-    path = episode_path(folder, "F1", "low", 0)
-    record_episode(
-        env, simulator.rig(OBSERVATION), lambda o, e: e.autopilot(), path, {"map": "F1"}, seed=5, quality=quality
-    )
+    path = Take("F1", "low", 0).path(folder)
+    with EpisodeWriter(path, simulator.rig(OBSERVATION), {"map": "F1"}, quality) as writer:
+        record(env, Autopilot(), writer, seed=5)
     return path
 
 
@@ -42,7 +45,7 @@ def test_a_lossless_episode_comes_back_as_it_was(tmp_path: Path) -> None:
         observation, _, _, _, info = env.step(step.action)
         assert step.record["x"] == info["record"]["x"]
         assert math.isnan(step.record["traffic_speed"])
-    assert read_metadata(path) == {"map": "F1", "seed": "5"}
+    assert read_metadata(path) == {"map": "F1"}
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
@@ -101,9 +104,27 @@ def test_a_failed_episode_leaves_no_file(tmp_path: Path) -> None:
     simulator = LineSimulator(None)
     env = simulator.make_env(OBSERVATION, map="F1", density="low")
 
-    def fail(observation: object, env: object) -> np.ndarray:
-        raise RuntimeError("driver broke")
+    class Broken(Autopilot):
+        def act(self, observation: object, env: object) -> np.ndarray:  # type: ignore[override]
+            raise RuntimeError("driver broke")
 
-    with pytest.raises(RuntimeError, match="driver broke"):
-        record_episode(env, simulator.rig(OBSERVATION), fail, tmp_path / "a.mcap", {}, seed=1, quality=90)
+    with (
+        pytest.raises(RuntimeError, match="driver broke"),
+        EpisodeWriter(tmp_path / "a.mcap", simulator.rig(OBSERVATION), {}) as writer,
+    ):
+        record(env, Broken(), writer, seed=1)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_collection_goes_on_where_it_was_cut_off(line_plugins: None, tmp_path: Path) -> None:
+    world = World(PluginChoice(name="line"), OBSERVATION)
+    recorder = Recorder(world, DriverSpec("autopilot", "autopilot"), 0, tmp_path, 90)
+    takes = [Take(place, "low", index) for place in ("F1", "F2") for index in range(2)]
+    assert collect(recorder, takes, workers=0) == 4
+    kept = takes[1].path(tmp_path).read_bytes()
+    takes[0].path(tmp_path).unlink()
+    (tmp_path / ".F1-low-00000.mcap.part").write_bytes(b"half")
+    assert collect(recorder, takes, workers=0) == 1
+    assert takes[1].path(tmp_path).read_bytes() == kept
+    assert not list(tmp_path.glob(".*"))
+    assert read_metadata(takes[3].path(tmp_path))["map"] == "F2"

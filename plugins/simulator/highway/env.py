@@ -216,6 +216,11 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         advice = self._traffic.advise(self.vehicle.pose, self._tracker.path)
         return np.array([driver.steer(self.vehicle, self._tracker), longitudinal_of(advice)], np.float32)
 
+    def pose(self) -> tuple[float, float, float]:
+        """Where the ego is: x and y, metres, and heading, radians, in the world frame."""
+        here = self.vehicle.pose
+        return here.x, here.y, here.heading
+
     def bev_semantics(self) -> NDArray[np.uint8]:
         """The true semantic map around the ego, (200, 200), classes as `BEV_CLASSES`, 0.5 m per cell."""
         return bev_semantics(self.scene)

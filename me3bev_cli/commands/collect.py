@@ -1,0 +1,54 @@
+"""`me3bev collect`: drive episodes and record them as MCAP files."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def collect(
+    out: Annotated[Path, typer.Option(help="Folder of the MCAP files.")],
+    maps: Annotated[str | None, typer.Option(help="As T1-T7 or T1,T3. Default: every map.")] = None,
+    density: Annotated[str | None, typer.Option(help="As low,high. Default: low.")] = None,
+    driver: Annotated[str, typer.Option(help="autopilot, idle, random, or a run folder.")] = "autopilot",
+    recipe: Annotated[str | None, typer.Option(help="Observation and world. Default: highway as it comes.")] = None,
+    episodes: Annotated[int, typer.Option(help="For each map and density.", min=1)] = 5,
+    workers: Annotated[int, typer.Option(help="Processes; 0: this one.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Of routes and traffic.", min=0)] = 0,
+    quality: Annotated[int, typer.Option(help="JPEG quality; 0 writes lossless PNG.", min=0, max=100)] = 92,
+    json: Annotated[str | None, typer.Option(help="Write what was recorded.", metavar="FILE|-")] = None,
+) -> None:
+    """Record episodes as MCAP files that open in existing viewers."""
+    from me3bev_cli.evaluation.drivers import REFERENCES
+    from me3bev_cli.evaluation.session import prepare
+    from me3bev_cli.output import write_json
+    from me3bev_cli.recording.collect import Recorder, Take
+    from me3bev_cli.recording.collect import collect as record_all
+    from me3bev_cli.training.display import clock
+
+    known = driver in REFERENCES
+    plan = prepare(
+        run=None if known else Path(driver), checkpoint="last", driver=driver if known else None, recipe=recipe,
+        device="auto", maps=maps, density=density, episodes=episodes, seed=seed, out=None,
+    )  # fmt: skip
+    recorder = Recorder(plan.world, plan.driver, seed, out, quality)
+    takes = [Take(m, d, i) for d in plan.densities for m in plan.maps for i in range(episodes)]
+    start, done, total_steps = time.monotonic(), 0, 0
+
+    def shown(take: Take, steps: int) -> None:
+        nonlocal done, total_steps
+        done, total_steps = done + 1, total_steps + steps
+        seconds = time.monotonic() - start
+        left = clock(seconds / done * (len(takes) - done))
+        print(f"{take.path(out)}  {steps} steps  {total_steps / seconds:.0f} steps/s  left {left}", file=sys.stderr)
+
+    written = record_all(recorder, takes, workers, shown)
+    files = [take.path(out) for take in takes]
+    size = sum(path.stat().st_size for path in files)
+    print(f"{written} episodes written, {len(files)} in {out}, {size / 1e6:.1f} MB", file=sys.stderr)
+    if json is not None:
+        write_json({"files": [str(path) for path in files], "written": written, "bytes": size}, json)
