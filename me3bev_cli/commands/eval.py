@@ -89,7 +89,8 @@ def _print(outcome: Outcome, evaluation: Evaluation, json: str | None, written: 
     from me3bev_cli.output import console
 
     place = console(json)
-    for table in tables(outcome.rows):
+    for headline, table in tables(outcome.rows):
+        place.print(headline, style="bold", markup=False)
         place.print(table)
     place.print(f"↑ higher is better, ↓ lower; in brackets the 95 % interval. Seed {evaluation.seed}; {outcome.pace}")
     for path in written:

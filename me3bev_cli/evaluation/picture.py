@@ -103,11 +103,20 @@ def _bars(figure: Any, rows: Sequence[Row]) -> None:
         axes.set_xticks(range(len(maps)), maps, fontsize=8, rotation=30 if max(map(len, maps)) > 4 else 0)
         axes.tick_params(axis="y", labelsize=8)
         axes.set_ylabel(metric.unit, fontsize=8)
+        _limit(axes, metric.unit)
         axes.spines[["top", "right"]].set_visible(False)
     if len(series) > 1:
         handles = [_swatch(COLOURS[i % len(COLOURS)]) for i in range(len(series))]
         labels = [f"{method}, {density}" for method, density in series]
         figure.legend(handles, labels, loc="outside lower center", ncols=len(series), fontsize=8)
+
+
+def _limit(axes: Axes, unit: str) -> None:
+    """A whole scale where there is one, so that pictures can be compared; else from 0."""
+    if unit.startswith("share") or unit == "0-100":
+        axes.set_ylim(0, 105 if unit == "0-100" else 1.05)
+    elif axes.get_ylim()[0] >= 0:
+        axes.set_ylim(bottom=0)
 
 
 def _swatch(colour: str) -> Any:

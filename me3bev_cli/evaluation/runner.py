@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,9 +22,10 @@ if TYPE_CHECKING:
     from me3bev_cli.api import ObservationConfig, SimulatorPlugin, StepRecord
     from me3bev_cli.recipe import PluginChoice
 
-CHUNK = 4
-"""Episodes that one environment plays, at most. It does not depend on the number of workers."""
-CAPTURE_STEP = 40
+CHUNKS, LARGEST_CHUNK = 8, 4
+"""A cell's episodes are played in about this many chunks, an environment for each, of at most so many episodes.
+Neither depends on the number of workers."""
+SNAPSHOT_STEP = 40
 """The snapshot is taken after this many steps, or at the end of a shorter episode."""
 
 
@@ -56,8 +58,8 @@ class Job(NamedTuple):
     map: str
     density: str
     indices: tuple[int, ...]
-    capture: bool = False
-    """Whether to take a snapshot of the first."""
+    snapshot: int | None = None
+    """Index of an episode to look into."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +96,15 @@ class Player:
     def __call__(self, job: Job) -> Played:
         self._driver = self._driver or self.spec.make()
         self._simulator = self._simulator or self.world.open()
-        env = self._simulator.make_env(self.world.observation, map=job.map, density=job.density, images=self.spec.looks)
-        try:
-            episodes = [self._episode(env, self._driver, job, index) for index in job.indices]
-        finally:
-            env.close()
-        return Played(episodes, self._snapshot(job, episodes[0]) if job.capture else None)
+        snapshot = None if job.snapshot is None else self._snapshot(job, job.snapshot)
+        if not job.indices:
+            return Played([], snapshot)
+        with closing(self._make(job, images=self.spec.looks)) as env:
+            return Played([self._episode(env, self._driver, job, index) for index in job.indices], snapshot)
+
+    def _make(self, job: Job, images: bool) -> gymnasium.Env[Any, Any]:
+        assert self._simulator is not None
+        return self._simulator.make_env(self.world.observation, map=job.map, density=job.density, images=images)
 
     def _episode(self, env: gymnasium.Env[Any, Any], driver: Driver, job: Job, index: int) -> Episode:
         seed = episode_seed(self.seed, job.map, job.density, index)
@@ -114,22 +119,20 @@ class Player:
             ended=ending(records, terminated=terminated),
         )
 
-    def _snapshot(self, job: Job, episode: Episode) -> Snapshot:
-        """Drive the first part of an episode again with the cameras on."""
-        assert self._simulator is not None
+    def _snapshot(self, job: Job, index: int) -> Snapshot:
+        """Drive the first part of an episode with the cameras on, apart from the drive that is scored."""
         assert self._driver is not None
-        observation = self.world.observation
-        env = self._simulator.make_env(observation, map=job.map, density=job.density, images=True)
-        try:
-            seen, _ = env.reset(seed=episode.seed)
-            self._driver.begin(env, episode.seed)
-            steps = min(CAPTURE_STEP, len(episode) - 1)
-            for _ in range(steps):
-                seen = env.step(self._driver.act(seen, env))[0]
+        seed = episode_seed(self.seed, job.map, job.density, index)
+        with closing(self._make(job, images=True)) as env:
+            seen, _ = env.reset(seed=seed)
+            self._driver.begin(env, seed)
+            step, over = 0, False
+            while step < SNAPSHOT_STEP and not over:
+                seen, _, terminated, truncated, _ = env.step(self._driver.act(seen, env))
+                step, over = step + 1, terminated or truncated
             bev = np.array(env.unwrapped.bev_semantics())  # type: ignore[attr-defined]
-            return Snapshot(job.map, job.density, steps, observation.cameras, np.array(seen["images"]), bev)
-        finally:
-            env.close()
+            images = np.array(seen["images"])
+        return Snapshot(job.map, job.density, step, self.world.observation.cameras, images, bev)
 
 
 def drive(env: gymnasium.Env[Any, Any], driver: Driver, seed: int) -> tuple[list[StepRecord], bool]:
@@ -144,17 +147,17 @@ def drive(env: gymnasium.Env[Any, Any], driver: Driver, seed: int) -> tuple[list
             return records, terminated
 
 
-def plan(maps: Sequence[str], densities: Sequence[str], episodes: int, capture: bool = False) -> list[Job]:
-    """The jobs of an evaluation, cell by cell; the very first episode may be captured."""
+def plan(maps: Sequence[str], densities: Sequence[str], episodes: int, snapshot: bool = False) -> list[Job]:
+    """The jobs of an evaluation, cell by cell, after a look into the very first episode if it is wanted."""
+    size = max(1, min(LARGEST_CHUNK, episodes // CHUNKS))
     jobs = [
-        Job(map, density, tuple(range(first, min(first + CHUNK, episodes))))
+        Job(map, density, tuple(range(first, min(first + size, episodes))))
         for density in densities
         for map in maps
-        for first in range(0, episodes, CHUNK)
+        for first in range(0, episodes, size)
     ]
-    if capture and jobs:
-        jobs[0] = jobs[0]._replace(capture=True)
-    return jobs
+    look = [Job(jobs[0].map, jobs[0].density, (), snapshot=0)] if snapshot and jobs else []
+    return look + jobs
 
 
 def evaluate(
@@ -178,7 +181,7 @@ def evaluate(
     """
 
     def report(_: int, played: Played) -> None:
-        if on_episodes is not None:
+        if on_episodes is not None and played.episodes:
             on_episodes(played.episodes)
 
     played = run_jobs(player, jobs, workers, report, on_death)

@@ -97,12 +97,18 @@ def prepare(
     default = loaded.simulator.density if loaded else known_densities[0]
     chosen_densities = parse_densities(default if density is None else density, known_densities)
     if out is None:
-        base = spec.run / "eval" if spec.run is not None else runs_root() / "eval" / spec.label
-        if checkpoint != "last":
-            base /= checkpoint
-        out = base / f"{shorten(chosen_maps)}-{shorten(chosen_densities)}"
+        out = _folder(spec, loaded, checkpoint) / f"{shorten(chosen_maps)}-{shorten(chosen_densities)}"
     refuse_foreign(out)
     return Evaluation(world, spec, tuple(chosen_maps), tuple(chosen_densities), episodes, seed, out)
+
+
+def _folder(spec: DriverSpec, recipe: Recipe | None, checkpoint: str) -> Path:
+    """Where a driver's evaluations are kept unless the user says otherwise."""
+    if spec.run is not None:
+        return spec.run / "eval" if checkpoint == "last" else spec.run / "eval" / checkpoint
+    # A reference driver's figures depend on the recipe's world.
+    label = spec.label if recipe is None or recipe is spec.recipe else f"{spec.label}-{recipe.name}"
+    return runs_root() / "eval" / label
 
 
 def _default_choice() -> PluginChoice:
@@ -200,7 +206,7 @@ class Outcome:
 def play(evaluation: Evaluation, workers: int, progress: EvaluationProgress) -> Outcome:
     """Drive every episode and score it."""
     player = Player(evaluation.world, evaluation.driver, evaluation.seed)
-    jobs = plan(evaluation.maps, evaluation.densities, evaluation.episodes, capture=True)
+    jobs = plan(evaluation.maps, evaluation.densities, evaluation.episodes, snapshot=True)
     episodes, snapshot = run_evaluation(player, jobs, workers, progress.add, progress.died)
     steps = sum(len(episode) for episode in episodes)
     pace = f"{steps:,} steps in {progress.seconds:.1f} s ({steps / progress.seconds:.0f} per s), {workers} workers"

@@ -20,41 +20,52 @@ WITH_INTERVALS = 3
 """Up to this many columns every figure is shown with its interval; beyond, only the average is."""
 
 
-def tables(rows: Sequence[Row]) -> list[Table]:
-    """One table per method and density."""
-    keys = dict.fromkeys((row.method, row.density) for row in rows)
-    return [_table(*key, [row for row in rows if (row.method, row.density) == key]) for key in keys]
+def tables(rows: Sequence[Row]) -> list[tuple[str, Table]]:
+    """A headline and a table per method and density."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.method, row.density), []).append(row)
+    return [(_headline(*key, group), _table(group)) for key, group in groups.items()]
 
 
-def _table(method: str, density: str, rows: Sequence[Row]) -> Table:
+def _headline(method: str, density: str, rows: Sequence[Row]) -> str:
+    counts = {row.n for row in rows if row.metric == PAPER[0] and row.map != AVERAGE}
+    many = f"{min(counts)}" if len(counts) == 1 else f"{min(counts)} to {max(counts)}"
+    each = " per map" if any(row.map == AVERAGE for row in rows) else ""
+    return f"{method}, {density} density, {many} episode{'s' if max(counts) > 1 else ''}{each}"
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    from rich import box
     from rich.markup import escape
     from rich.table import Table
 
     maps = list(dict.fromkeys(row.map for row in rows))
     found = {(row.map, row.metric): row for row in rows}
-    counts = {row.n for row in rows if row.metric == PAPER[0] and row.map != AVERAGE}
-    many = f"{min(counts)}" if len(counts) == 1 else f"{min(counts)}-{max(counts)}"
-    each = " each" if len(maps) > 1 else ""
-    table = Table(
-        title=escape(f"{method}, {density} density, episodes: {many}{each}"), title_justify="left", title_style="bold"
-    )
+    # No lines between columns: seven maps and the average fit 100 columns.
+    table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("metric", no_wrap=True)
-    table.add_column("")
     for map in maps:
         table.add_column(escape(map), justify="right", no_wrap=True, style="bold" if map == AVERAGE else None)
     for name, metric in METRICS.items():
         cells = [_cell(found[map, name], metric, len(maps) <= WITH_INTERVALS or map == AVERAGE) for map in maps]
-        table.add_row(metric.label, ARROWS[metric.direction], *cells, end_section=name == PAPER[-1])
+        table.add_row(f"{metric.label} {ARROWS[metric.direction]}", *cells, end_section=name == PAPER[-1])
     return table
 
 
 def _cell(row: Row, metric: Metric, with_interval: bool) -> str:
     if math.isnan(row.mean):
         return "-"
-    text = f"{row.mean:.{metric.digits}f}"
+    text = _number(row.mean, metric)
     if with_interval and not math.isnan(row.low):
-        text += f" ({row.low:.{metric.digits}f}..{row.high:.{metric.digits}f})"
+        text += f" ({_number(row.low, metric)}..{_number(row.high, metric)})"
     return text
+
+
+def _number(value: float, metric: Metric) -> str:
+    """Three figures are enough for people; files have them all."""
+    before = len(f"{abs(value):.0f}")
+    return f"{value:.{max(0, min(metric.digits, 3 - before))}f}"
 
 
 FIELDS = ("method", "map", "density", "metric", "mean", "low", "high", "n")

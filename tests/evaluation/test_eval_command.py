@@ -1,0 +1,141 @@
+"""`me3bev eval` as a user meets it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from me3bev_cli.evaluation.episode import load
+from me3bev_cli.evaluation.metrics import METRICS, measure
+from me3bev_cli.main import app
+
+RECIPE = """
+name: by-script
+simulator: {name: scripted, map: M1, density: high, horizon: 40}
+observation: {height: 16, width: 16, cameras: [front, back]}
+modalities: [vr, nav]
+encoders: {vr: {hidden: [8], width: 8}, nav: {hidden: [8], width: 8}}
+temporal: null
+fusion: {name: concat}
+stages: [{kind: ppo, steps: 10}]
+"""
+
+
+@pytest.fixture
+def recipe(scripted: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "by-script.yaml"
+    path.write_text(RECIPE)
+    return path
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["eval", *map(str, arguments)])
+
+
+def test_it_ends_with_a_table_and_files(recipe: Path, tmp_path: Path) -> None:
+    result = run("--driver", "idle", "--recipe", recipe, "--maps", "M1-M2", "--episodes", 3, "--workers", 0)
+    assert result.exit_code == 0, result.output
+    assert "idle, high density, 3 episodes per map" in result.stdout
+    assert "6/6 episodes" in result.stderr
+    out = tmp_path / "runs" / "eval" / "idle-by-script" / "M1,M2-high"
+    assert sorted(path.name for path in out.iterdir()) == ["episodes", "results.csv", "results.json", "results.png"]
+    for path in out.iterdir():
+        assert f"wrote {path}" in result.stdout
+    assert (out / "results.png").read_bytes().startswith(b"\x89PNG")
+    report = json.loads((out / "results.json").read_text())
+    assert (report["method"], report["seed"], report["maps"]) == ("idle", 0, ["M1", "M2"])
+    assert report["simulator_settings"] == {"horizon": 40}
+    assert set(report["metrics"]) == set(METRICS)
+    assert set(report["rows"][0]) == {"method", "map", "density", "metric", "mean", "low", "high", "n"}
+    # The rows follow from the logs.
+    logs = [load(path) for path in sorted((out / "episodes").glob("M1-*.npz"))]
+    mean = sum(measure(log)["timesteps"] for log in logs) / 3
+    (row,) = [r for r in report["rows"] if (r["map"], r["metric"]) == ("M1", "timesteps")]
+    assert row["mean"] == pytest.approx(mean)
+    assert row["n"] == 3
+
+
+def test_the_same_seed_writes_the_same_bytes(recipe: Path, tmp_path: Path) -> None:
+    options = ("--driver", "random", "--recipe", recipe, "--maps", "M1,M3", "--density", "low", "--episodes", 5)
+    for workers in (1, 2):
+        result = run(*options, "--workers", workers, "--out", tmp_path / f"w{workers}")
+        assert result.exit_code == 0, result.output
+    for path in sorted((tmp_path / "w1").rglob("*")):
+        if path.is_file():
+            assert path.read_bytes() == (tmp_path / "w2" / path.relative_to(tmp_path / "w1")).read_bytes(), path
+    assert "NaN" not in (tmp_path / "w1" / "results.json").read_text()
+
+
+def test_json_alone_is_on_stdout(recipe: Path, tmp_path: Path) -> None:
+    copies = ("--csv", tmp_path / "rows.csv", "--picture", tmp_path / "bars.png")
+    result = run(
+        "--driver", "idle", "--recipe", recipe, "--maps", "M1", "--episodes", 1, "--workers", 0, "--json", "-", *copies
+    )
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["method"] == "idle"
+    assert "idle, high density, 1 episode" in result.stderr
+    assert (tmp_path / "rows.csv").read_text().startswith("method,map,density,metric")
+    assert (tmp_path / "bars.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_untrained_policy_drives(recipe: Path) -> None:
+    result = run("--driver", "untrained", "--recipe", recipe, "--maps", "M1", "--episodes", 1, "--workers", 0)
+    assert result.exit_code == 0, result.output
+    assert "untrained-by-script, high density, 1 episode" in result.stdout
+
+
+def test_evaluating_again_replaces_the_logs(recipe: Path, tmp_path: Path) -> None:
+    options = ("--driver", "idle", "--recipe", recipe, "--maps", "M1", "--workers", 0, "--out", tmp_path / "out")
+    assert run(*options, "--episodes", 3).exit_code == 0
+    assert run(*options, "--episodes", 2).exit_code == 0
+    assert len(list((tmp_path / "out" / "episodes").iterdir())) == 2
+    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("", "there is no run under {tmp}/runs. `me3bev train RECIPE` makes one; `--driver autopilot` needs none"),
+        ("--run nowhere", "nowhere is not a run folder"),
+        ("--driver autopilt", "--driver: unknown driver 'autopilt'; did you mean 'autopilot'"),
+        ("--driver idle --episodes 0", "--episodes: 0 is too few"),
+        ("--driver idle --workers -1", "--workers: -1 is negative"),
+        ("--driver untrained", "an untrained policy needs a recipe. Give --recipe RECIPE or --run RUN"),
+        ("--recipe by-script.yaml", "--recipe: a recipe alone is not a driver. Give --driver too"),
+        ("--driver idle --recipe by-script.yaml --maps M7", "--maps: unknown map 'M7'"),
+        (
+            "--driver idle --recipe by-script.yaml --density hgih",
+            "--density: unknown density 'hgih'; did you mean 'high'",
+        ),
+        ("--driver idle --recipe by-script.yaml --out .", "holds something other than an evaluation"),
+        ("--driver idle --recipe by-script.yaml --out by-script.yaml", "is not a folder"),
+    ],
+)
+def test_mistakes(recipe: Path, tmp_path: Path, options: str, message: str) -> None:
+    before = sorted(tmp_path.rglob("*"))
+    result = run(*options.split())
+    assert result.exit_code == 2, result.output
+    assert message.format(tmp=tmp_path) in result.stderr
+    assert result.stdout == ""
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_damaged_checkpoint(recipe: Path, tmp_path: Path) -> None:
+    checkpoint = tmp_path / "runs" / "mine" / "checkpoints" / "step_000000010"
+    checkpoint.mkdir(parents=True)
+    for folder in (checkpoint, checkpoint.parents[1]):
+        (folder / "recipe.yaml").write_text(RECIPE)
+    (checkpoint.parents[1] / "metrics.jsonl").touch()
+    without = run("--maps", "M1", "--checkpoint", "last")
+    assert without.exit_code == 2
+    assert "has no checkpoint" in without.stderr
+    (checkpoint / "progress.json").write_text("{}")
+    (checkpoint / "policy.safetensors").write_bytes(b"\x00" * 20)
+    result = run("--maps", "M1", "--episodes", 1, "--workers", 1)
+    assert result.exit_code == 2, result.output
+    assert "policy.safetensors is damaged or truncated" in result.stderr
+    assert not (tmp_path / "runs" / "mine" / "eval").exists()
