@@ -171,7 +171,7 @@ def _levels(name: str, stages: list[nn.Module]) -> list[tuple[int, int]]:
             if x.ndim != 4 or x.shape[2] != x.shape[3] or _PROBE % x.shape[2]:
                 raise ValueError(f"a stage gives the shape {tuple(x.shape)}")
             found.append((_PROBE // x.shape[2], x.shape[1]))
-    except (RuntimeError, ValueError, TypeError) as error:
+    except (RuntimeError, ValueError, TypeError, AssertionError) as error:
         raise PluginError(
             f"'{name}' cannot be a trunk: it is not a chain of strided convolution stages",
             allowed="tiny, and torchvision's ResNet, RegNet, EfficientNet, MobileNet, ShuffleNet, ConvNeXt, VGG, ...",

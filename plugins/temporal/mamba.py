@@ -99,7 +99,8 @@ class Mamba(nn.Module):
 
     def _sequence(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
         inner, gate = self.in_proj(x).chunk(2, dim=-1)
-        inner, conv = _causal_conv(inner, state["conv"], starts, self.conv1d.weight, self.conv1d.bias)
+        past = state["conv"].masked_fill(starts[:, :1, None], 0.0)
+        inner, conv = _causal_conv(inner, past, starts, self.conv1d.weight, self.conv1d.bias)
         inner = F.silu(inner)
         step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
         delta = F.softplus(self.dt_proj(step))
