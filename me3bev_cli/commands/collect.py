@@ -22,7 +22,7 @@ def collect(
     quality: Annotated[int, typer.Option(help="JPEG quality; 0 writes lossless PNG.", min=0, max=100)] = 92,
     json: Annotated[str | None, typer.Option(help="Write what was recorded.", metavar="FILE|-")] = None,
 ) -> None:
-    """Record episodes as MCAP files that open in existing viewers."""
+    """Drive episodes and record them as MCAP files."""
     from me3bev_cli.evaluation.drivers import REFERENCES
     from me3bev_cli.evaluation.session import prepare
     from me3bev_cli.output import write_json

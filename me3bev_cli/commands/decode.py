@@ -22,7 +22,7 @@ def decode(
     out: Annotated[Path | None, typer.Option(help="Where to write. Default: RUN/decode.")] = None,
     json: Annotated[str | None, typer.Option(help="Write the scores.", metavar="FILE|-")] = None,
 ) -> None:
-    """Train a decoder from the policy's BEV latent to the semantic map, and score it."""
+    """Decode a policy's latent to a semantic map and score it."""
     from me3bev_cli.decoding.session import Plan
     from me3bev_cli.decoding.session import decode as decode_run
     from me3bev_cli.evaluation.maps import parse_maps
