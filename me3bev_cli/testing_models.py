@@ -143,12 +143,13 @@ def check_fusion(cls: Any, config: PluginConfig, widths: Mapping[str, int], seed
 
 def check_temporal(cls: Any, config: PluginConfig, width: int, seed: int) -> None:
     """Shapes, the state's form, and everything in `testing_temporal`."""
-    from me3bev_cli.testing_temporal import check_memory
+    from me3bev_cli.testing_temporal import check_memory, check_state
 
     try:
         cls.check(config, width)
     except ValueError as error:
         raise broken(cls, f"`check` accepts a width of {width}", str(error)) from error
+    check_state(cls, cls(config, width))
     x, starts = seeded(seed, lambda: (torch.randn(3, 6, width), torch.rand(3, 6) < 0.3))
 
     def run(module: Any) -> Outputs:

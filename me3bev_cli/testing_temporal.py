@@ -22,7 +22,6 @@ class _Case(NamedTuple):
 
 def check_memory(cls: type, module: Any, width: int, seed: int) -> None:
     """All of it, on sequences with starts at random places and a memory that is not empty."""
-    _check_state(cls, module)
     case = _case(module, width, seed)
     _check_streaming(cls, module, case)
     _check_resets(cls, module, case)
@@ -45,7 +44,8 @@ def _case(module: Any, width: int, seed: int) -> _Case:
     return _Case(x, starts, state)
 
 
-def _check_state(cls: type, module: Any) -> None:
+def check_state(cls: type, module: Any) -> None:
+    """The form of the empty memory: a plain tree, the batch first, where the module is."""
     parameter = next(iter(module.parameters()), torch.zeros(()))
     try:
         found = leaves(module.initial_state(BATCH))
