@@ -110,18 +110,18 @@ class LineSimulator:
 
 
 class TinySpatial(nn.Module):
-    """2 x 2 tokens of 4 numbers from strided pixels."""
+    """2 x 2 tokens of 8 numbers from strided pixels."""
 
     class Config(PluginConfig):
         """No settings."""
 
     def __init__(self, config: Any, rig: Rig) -> None:
         super().__init__()
-        self.conv = nn.Conv2d(3 * len(rig.cameras), 4, 8, stride=8)
+        self.conv = nn.Conv2d(3 * len(rig.cameras), 8, 8, stride=8)
 
     @classmethod
     def output_spec(cls, config: Any, rig: Rig) -> TokenSpec:
-        return TokenSpec(2, 2, 4)
+        return TokenSpec(2, 2, 8)
 
     def forward(self, images: torch.Tensor) -> SpatialOutput:
         maps = nn.functional.adaptive_avg_pool2d(torch.tanh(self.conv(images.flatten(1, 2))), 2)
