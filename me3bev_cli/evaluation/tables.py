@@ -48,24 +48,26 @@ def _table(rows: Sequence[Row]) -> Table:
     for map in maps:
         table.add_column(escape(map), justify="right", no_wrap=True, style="bold" if map == AVERAGE else None)
     for name, metric in METRICS.items():
-        cells = [_cell(found[map, name], metric, len(maps) <= WITH_INTERVALS or map == AVERAGE) for map in maps]
+        line = [found[map, name] for map in maps]
+        decimals = _decimals(line, metric)
+        cells = [_cell(row, decimals, len(maps) <= WITH_INTERVALS or row.map == AVERAGE) for row in line]
         table.add_row(f"{metric.label} {ARROWS[metric.direction]}", *cells, end_section=name == PAPER[-1])
     return table
 
 
-def _cell(row: Row, metric: Metric, with_interval: bool) -> str:
+def _decimals(line: Sequence[Row], metric: Metric) -> int:
+    """Three figures of the line's largest are enough for people; files have them all."""
+    largest = max((abs(row.mean) for row in line if not math.isnan(row.mean)), default=0.0)
+    return max(0, min(metric.digits, 3 - len(f"{largest:.0f}")))
+
+
+def _cell(row: Row, decimals: int, with_interval: bool) -> str:
     if math.isnan(row.mean):
         return "-"
-    text = _number(row.mean, metric)
+    text = f"{row.mean:.{decimals}f}"
     if with_interval and not math.isnan(row.low):
-        text += f" ({_number(row.low, metric)}..{_number(row.high, metric)})"
+        text += f" ({row.low:.{decimals}f}..{row.high:.{decimals}f})"
     return text
-
-
-def _number(value: float, metric: Metric) -> str:
-    """Three figures are enough for people; files have them all."""
-    before = len(f"{abs(value):.0f}")
-    return f"{value:.{max(0, min(metric.digits, 3 - before))}f}"
 
 
 FIELDS = ("method", "map", "density", "metric", "mean", "low", "high", "n")
