@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,6 +106,8 @@ class DriverSpec:
     def __post_init__(self) -> None:
         if self.name not in ("policy", *REFERENCES):
             raise unknown_name("driver", self.name, REFERENCES, where="--driver")
+        if not re.fullmatch(r"auto|cpu|cuda(:\d+)?", self.device):
+            raise unknown_name("device", self.device, ("auto", "cpu", "cuda"), where="--device")
         if self.name == "policy" and (self.run is None or self.recipe is None):
             raise UserError("a policy needs the run that it comes from", hint="Give --run RUN")
         if self.name == "untrained" and self.recipe is None:

@@ -104,6 +104,7 @@ def test_evaluating_again_replaces_the_logs(recipe: Path, tmp_path: Path) -> Non
         ("--driver autopilt", "--driver: unknown driver 'autopilt'; did you mean 'autopilot'"),
         ("--driver idle --episodes 0", "--episodes: 0 is too few"),
         ("--driver idle --workers -1", "--workers: -1 is negative"),
+        ("--driver untrained --recipe by-script.yaml --device gpu", "--device: unknown device 'gpu'"),
         ("--driver untrained", "an untrained policy needs a recipe. Give --recipe RECIPE or --run RUN"),
         ("--recipe by-script.yaml", "--recipe: a recipe alone is not a driver. Give --driver too"),
         ("--driver idle --recipe by-script.yaml --maps M7", "--maps: unknown map 'M7'"),
