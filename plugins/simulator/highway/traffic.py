@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.ego_path import EgoPath
+from me3bev_plugins.simulator.highway.pedestrians import Looks, draw_people
 from me3bev_plugins.simulator.highway.scene import Actors, Ego, Kind
 from me3bev_plugins.simulator.highway.signals import draw_plan
 from me3bev_plugins.simulator.highway.town import Town
@@ -66,22 +68,26 @@ class Traffic:
         for i in range(count):
             extend(roads, cars[i], self._fleet.path[i])
             place(roads, cars[i], self._fleet.path[i], self._fleet.trail[i])
-        self._board = new_board(len(roads.lanes), count, len(self.town.signals), len(roads.links), 0)
+        walks = self._tables.walks
+        self._people, looks = draw_people(rng, walks, pedestrians)
+        self._board = new_board(len(roads.lanes), count, len(self.town.signals), len(roads.links), len(walks.crossings))
         self.lights = self._board.lights
         self._enter_ego(ego, seeds[-1])
-        self._make_actors(models.colour[index])
+        self._make_actors(models.colour[index], looks)
         self._locate_ego(ego, path)
         look_around(roads, self._tables.grid, self._plan, self._fleet, self._board, self._time)
         decide(roads, self._fleet, self._board, self._time, 0.0)
-        publish(self._fleet, self._pose, self.actors.braking)
+        publish(self._fleet, self._people, self._pose, self.actors.braking)
 
     def step(self, dt: float, ego: Ego, path: EgoPath) -> None:
         """Advance by `dt` seconds. The ego has moved already: `ego` and `path` say where it is now."""
         self._locate_ego(ego, path)
         self._time += dt
         t = self._tables
-        step_traffic(t.roads, t.grid, self._plan, self._fleet, self._board, self._time, dt)
-        publish(self._fleet, self._pose, self.actors.braking)
+        step_traffic(
+            t.roads, t.grid, t.walks, self._plan, self._fleet, self._people, self._board,
+            self._pose, self.actors.braking, self._time, dt,
+        )  # fmt: skip
 
     def advise(self, ego: Ego, path: EgoPath) -> float:
         """The acceleration that a careful, law-abiding driver would choose for the ego now, m/s^2 in [-8, 3.5].
@@ -119,16 +125,16 @@ class Traffic:
         extend(self._tables.roads, car, way)  # Drivers look beyond the end of the route.
         car["rng"] = rng
 
-    def _make_actors(self, colour: np.ndarray) -> None:
+    def _make_actors(self, colour: NDArray[np.uint8], looks: Looks) -> None:
         cars = self._fleet.cars[:-1]
-        count = len(cars)
-        self._pose = np.zeros((5, count))
+        count, people = len(cars), len(self._people)
+        self._pose = np.zeros((5, count + people))
         self.actors = Actors(
             *self._pose,
-            length=cars["length"].copy(),
-            width=cars["width"].copy(),
-            height=cars["height"].copy(),
-            kind=cars["kind"].copy(),
-            colour=np.ascontiguousarray(colour, np.uint8),
-            braking=np.zeros(count, np.bool_),
+            length=np.concatenate([cars["length"], looks.length]),
+            width=np.concatenate([cars["width"], looks.width]),
+            height=np.concatenate([cars["height"], looks.height]),
+            kind=np.concatenate([cars["kind"], np.full(people, Kind.PEDESTRIAN)]).astype(np.int32),
+            colour=np.concatenate([colour, looks.colour]).astype(np.uint8),
+            braking=np.zeros(count + people, np.bool_),
         )

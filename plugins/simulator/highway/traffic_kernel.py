@@ -5,6 +5,8 @@ from __future__ import annotations
 from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.pedestrian_kernel import publish_people, step_people
+from me3bev_plugins.simulator.highway.pedestrian_tables import Walks
 from me3bev_plugins.simulator.highway.signals import SignalPlan, write_lights
 from me3bev_plugins.simulator.highway.town import Floats
 from me3bev_plugins.simulator.highway.traffic_board import write_entries, write_users
@@ -97,30 +99,38 @@ def mark_crossings(roads: Roads, fleet: Fleet, board: Board) -> None:
 
 
 @njit(cache=True)
-def publish(fleet: Fleet, pose: Floats, braking: NDArray) -> None:
+def publish(fleet: Fleet, people: NDArray, pose: Floats, braking: NDArray) -> None:
     """Copy poses into the rows x, y, z, heading, speed of `pose` (5, A) and set the brake lights."""
     for i in range(len(fleet.cars) - 1):
         car = fleet.cars[i]
         pose[0, i], pose[1, i], pose[2, i] = car.x, car.y, car.z
         pose[3, i], pose[4, i] = car.heading, car.speed
         braking[i] = car.accel < -0.4 or car.speed < 0.1
+    publish_people(people, pose, len(fleet.cars) - 1)
 
 
 @njit(cache=True)
 def step_traffic(
     roads: Roads,
     grid: Grid,
+    walks: Walks,
     plan: SignalPlan,
     fleet: Fleet,
+    people: NDArray,
     board: Board,
+    pose: Floats,
+    braking: NDArray,
     time: float,
     dt: float,
 ) -> None:
-    """Advance the vehicles by one step; the ego's record already holds its new pose."""
+    """Advance everything by one step and publish it; the ego's record already holds its new pose."""
     look_around(roads, grid, plan, fleet, board, time)
     decide(roads, fleet, board, time, dt)
     change_lanes(roads, fleet, board, dt)
     move(roads, fleet, dt)
+    mark_crossings(roads, fleet, board)
+    step_people(roads, walks, people, fleet, board, dt)
+    publish(fleet, people, pose, braking)
 
 
 @njit(cache=True)

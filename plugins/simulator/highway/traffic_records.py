@@ -129,3 +129,69 @@ USER = np.dtype(
     align=True,
 )
 """A vehicle that may use a connector (or, `claim`, is next to): `s` of its centre, negative before the connector."""
+
+FOOTING = np.dtype([("x", "f8"), ("y", "f8"), ("z", "f8"), ("heading", "f8"), ("free", "f8")], align=True)
+"""A point of a strip on which pedestrians walk; `free` is the distance to the nearest kerb, metres."""
+
+STRIP = np.dtype(
+    [
+        ("length", "f8"),
+        ("step", "f8"),
+        ("half", "f8"),  # half of the width that is walked on
+        ("before_s", "f8"),
+        ("after_s", "f8"),
+        ("first", "i4"),  # footing
+        ("count", "i4"),
+        ("before", "i4"),  # strip on which one goes on from its start, or -1, and where on it
+        ("after", "i4"),  # the same from its end
+        ("exit0", "i4"),
+        ("exit1", "i4"),
+    ],
+    align=True,
+)
+
+EXIT = np.dtype([("s", "f8"), ("crossing", "i4"), ("side", "i4")], align=True)
+"""Where a strip leads to one of the two ends of a crossing."""
+
+CROSSING = np.dtype(
+    [
+        ("x0", "f8"),  # the two ends
+        ("y0", "f8"),
+        ("z0", "f8"),
+        ("x1", "f8"),
+        ("y1", "f8"),
+        ("z1", "f8"),
+        ("length", "f8"),
+        ("s0", "f8"),  # where on their strips
+        ("s1", "f8"),
+        ("strip0", "i4"),
+        ("strip1", "i4"),
+        ("marked", "i4"),  # 1: a crosswalk, 0: somewhere along the road
+        ("met0", "i4"),  # links
+        ("met1", "i4"),
+        ("signal0", "i4"),
+        ("signal1", "i4"),
+    ],
+    align=True,
+)
+
+PERSON = np.dtype(
+    [
+        ("x", "f8"),
+        ("y", "f8"),
+        ("z", "f8"),
+        ("heading", "f8"),
+        ("speed", "f8"),
+        ("pace", "f8"),  # m/s when nothing is in the way
+        ("s", "f8"),  # on its strip
+        ("aside", "f8"),  # metres left of the strip's or the crossing's middle
+        ("along", "f8"),  # metres from the crossing's first end
+        ("wait", "f8"),
+        ("rng", "u8"),
+        ("strip", "i4"),
+        ("way", "i4"),  # 1 or -1: along the strip or crossing, or against it
+        ("mode", "i4"),
+        ("crossing", "i4"),
+    ],
+    align=True,
+)

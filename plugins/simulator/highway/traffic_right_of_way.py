@@ -28,6 +28,8 @@ DETOUR = 6.0
 """After this without room beyond the junction another way is taken, seconds."""
 LAPSE = 5.0
 """A vehicle that stands before its gate for so long loses the grant, seconds."""
+NEAR = 12.0
+"""Who is nearer than this to where it must stop can be said to wait there, metres."""
 EGO_CLAIM = 15.0
 """Within this distance the ego claims its gate, metres."""
 STOPPABLE = 3.5
@@ -55,7 +57,8 @@ def grant_gates(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float
         reach = decision_distance(car.speed)
         if i == count - 1:
             reach = max(reach, EGO_CLAIM)
-        if line > reach:
+        before = roads.lanes[path[gate - 1]]
+        if line - (before.length - before.stop) > reach:
             continue
         _note_arrival(roads, car, path, gate, line, time, dt)
         rank = float(roads.lanes[path[gate]].rank)
@@ -130,10 +133,11 @@ def _light_allows(roads: Roads, board: Board, car: NDArray, lane: int, line: flo
 def _note_arrival(roads: Roads, car: NDArray, path: Ints, gate: int, line: float, time: float, dt: float) -> None:
     if car.gate != path[gate]:
         car.gate, car.arrival, car.wait, car.jam = path[gate], time, 0.0, 0.0
-    if car.speed < 0.5 and line < 12.0:
-        car.wait += dt
     before = roads.lanes[path[gate - 1]]
-    if before.sign == STOP and car.speed < 0.3 and line - (before.length - before.stop) < 3.0:
+    stop = line - (before.length - before.stop)
+    if car.speed < 0.5 and stop < NEAR:
+        car.wait += dt
+    if before.sign == STOP and car.speed < 0.3 and stop < 3.0:
         car.halted = path[gate - 1]
 
 
@@ -155,7 +159,8 @@ def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line:
         if last + 1 < car.count:
             board.bound[path[last + 1]] += car.length + BERTH
         return
-    if verdict == CONFLICT and line < 12.0:
+    before = roads.lanes[path[gate - 1]]
+    if verdict == CONFLICT and line - (before.length - before.stop) < NEAR:
         start = -car.s
         for k in range(last + 1):
             if k >= gate and roads.lanes[path[k]].gate:

@@ -94,7 +94,7 @@ def tables(town: Town) -> Tables:
     walks, links = build_walks(town, lanes, samples, grid)
     _gates(town, lanes, zones, zone_start)
     _admit(town, lanes, samples, zones, zone_start)
-    _stop_lines(lanes, zones, zone_start, links, follow)
+    _stop_lines(lanes, zones, zone_start, links, walks.crossings, follow)
     return Tables(Roads(lanes, samples, follow, zones, zone_start, links, idm_parameters()), grid, walks)
 
 
@@ -245,7 +245,9 @@ def _gates(town: Town, lanes: NDArray, zones: NDArray, zone_start: Ints) -> None
         lanes["gate"][lane.id] = int(meets or controlled)
 
 
-def _stop_lines(lanes: NDArray, zones: NDArray, zone_start: Ints, links: NDArray, follow: Ints) -> None:
+def _stop_lines(
+    lanes: NDArray, zones: NDArray, zone_start: Ints, links: NDArray, crossings: NDArray, follow: Ints
+) -> None:
     """Where vehicles that wait at a gate, or have just left one, are out of everybody's way.
 
     Fronts halt before pedestrians' crossings and before what others sweep as they turn; rears must get beyond it.
@@ -264,7 +266,7 @@ def _stop_lines(lanes: NDArray, zones: NDArray, zone_start: Ints, links: NDArray
                 if zone["a1"] - half < REACH:
                     clear = max(clear, zone["a1"] - half)
         for link in links[lane["cross0"] : lane["cross1"]]:
-            if lane["length"] - 10.0 < link["s"]:
+            if crossings["marked"][link["crossing"]] and lane["length"] - 10.0 < link["s"]:
                 stop = min(stop, link["s"] - 3.0)
         if lanes["gate"][follow[lane["follow0"] : lane["follow1"]]].any():
             lane["stop"] = max(stop, 0.5 * lane["length"])
