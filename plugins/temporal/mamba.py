@@ -90,11 +90,12 @@ class Mamba(nn.Module):
 
     def forward(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
         """x (B, T, D), starts (B, T) bool -> y (B, T, D) and the state after the last frame."""
+        normed = self.norm(x.to(self.D.dtype))
         if x.shape[1] == 1 and not torch.is_grad_enabled():
-            y, state = self._step(self.norm(x[:, 0]), state, starts[:, 0])
+            y, state = self._step(normed[:, 0], state, starts[:, 0])
             y = y.unsqueeze(1)
         else:
-            y, state = self._sequence(self.norm(x), state, starts)
+            y, state = self._sequence(normed, state, starts)
         return (x + y if self.config.residual else y), state
 
     def _sequence(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
@@ -104,7 +105,7 @@ class Mamba(nn.Module):
         inner = F.silu(inner)
         step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
         delta = F.softplus(self.dt_proj(step))
-        A = -torch.exp(self.A_log.T)
+        A = -torch.exp(self.A_log.T.contiguous())
         with torch.autocast(x.device.type, enabled=False):
             dtype = self.A_log.dtype
             y, ssm = selective_scan(inner.to(dtype), delta.to(dtype), A, B.to(dtype), C.to(dtype), state["ssm"], starts)
@@ -120,7 +121,7 @@ class Mamba(nn.Module):
         inner = F.silu((taps * kernel).sum(1) + self.conv1d.bias)
         step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
         delta = F.softplus(self.dt_proj(step))
-        A = self.A_log.T.exp().neg_()
+        A = torch.exp(self.A_log.T.contiguous()).neg_()
         with torch.autocast(x.device.type, enabled=False):
             dtype = A.dtype
             y, ssm = scan_step(inner.to(dtype), delta.to(dtype), A, B.to(dtype), C.to(dtype), state["ssm"], starts)
