@@ -81,7 +81,7 @@ class _Scan(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         inputs = _Inputs(*ctx.saved_tensors)
         grad_y, grad_last = grads
-        grad = _Inputs(*(torch.empty_like(tensor) for tensor in inputs[:-1]), inputs.starts)
+        grad = _Inputs(*(torch.empty_like(tensor) for tensor in inputs))
         grad.A.zero_()
         for rows, work in _chunks(inputs, 3):
             _chunk_backward(_rows(inputs, rows), grad_y[rows], grad_last[rows], _rows(grad, rows), work)
