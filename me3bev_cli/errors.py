@@ -37,10 +37,9 @@ class UserError(Exception):
     def render(self) -> str:
         """The message as shown to the user."""
         text = f"{self.where}: {self.what}" if self.where else self.what
-        if self.allowed:
-            text += f". Allowed: {self.allowed}"
-        if self.hint:
-            text += f". {self.hint}"
+        for more in (f"Allowed: {self.allowed}" if self.allowed else None, self.hint):
+            if more:
+                text += f" {more}" if text.endswith("?") else f". {more}"
         return text
 
 

@@ -104,8 +104,8 @@ def test_a_circle_is_found(recipe: Write) -> None:
 def test_a_fault_in_what_is_extended_names_that_file(recipe: Write) -> None:
     recipe(RECIPE.replace("heads: 2", "heds: 2"), "base.yaml")
     assert faults(recipe("extends: base.yaml\nsede: 1\n", "child.yaml")) == [
-        "base.yaml:10: temporal.heds: unknown key 'heds'; did you mean 'heads'?. Allowed: heads, dropout",
-        "child.yaml:2: sede: unknown key 'sede'; did you mean 'seed'?. Allowed: name, simulator, observation, "
+        "base.yaml:10: temporal.heds: unknown key 'heds'; did you mean 'heads'? Allowed: heads, dropout",
+        "child.yaml:2: sede: unknown key 'sede'; did you mean 'seed'? Allowed: name, simulator, observation, "
         "modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
     ]
 
@@ -146,7 +146,7 @@ def test_faulty_overrides_are_named_as_written(recipe: Write) -> None:
         "--set stages.1.steps=3: 'stages' is a list without '1'. Allowed: 0",
         "--set stages.first.steps=3: 'stages' is a list without 'first'. Allowed: 0",
         "--set a=[1: not YAML: expected ',' or ']', but got '<stream end>'",
-        "--set sed=1: sed: unknown key 'sed'; did you mean 'seed'?. Allowed: name, simulator, observation, "
+        "--set sed=1: sed: unknown key 'sed'; did you mean 'seed'? Allowed: name, simulator, observation, "
         "modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
         "--set stages.0.clip=x: stages.0.clip: expected a number, got 'x'",
     ]

@@ -46,33 +46,33 @@ device: tpu
         r"mine.yaml:1: name: 'my run' is not of the right form. Allowed: what matches ^[\w.-]+$",
         "mine.yaml:1: fusion: 'fusion' is missing",
         "mine.yaml:2: simulator.density: 'density' is missing",
-        "mine.yaml:2: simulator.name: unknown simulator plugin 'wrld'; did you mean 'world'?. Allowed: world",
+        "mine.yaml:2: simulator.name: unknown simulator plugin 'wrld'; did you mean 'world'? Allowed: world",
         "mine.yaml:3: observation.cameras: needs at least 1, has 0",
         "mine.yaml:4: modalities.1: 'lidar' is not among the choices. Allowed: bev, vr, nav",
-        "mine.yaml:5: spatial.trunk: 'tin' is not among the choices; did you mean 'tiny'?. Allowed: tiny, large",
+        "mine.yaml:5: spatial.trunk: 'tin' is not among the choices; did you mean 'tiny'? Allowed: tiny, large",
         "mine.yaml:5: spatial.channels: 0 is out of range. Allowed: >= 1",
         "mine.yaml:6: encoders.vr.width: expected a whole number, got 'wide'",
         "mine.yaml:7: temporal: expected a block of keys, got 'attention'. Write {name: attention}",
-        "mine.yaml:8: context.kind: 'windw' is not among the choices; did you mean 'window'?. Allowed: window, stream",
-        "mine.yaml:9: polcy: unknown key 'polcy'; did you mean 'policy'?. Allowed: name, simulator, observation, "
+        "mine.yaml:8: context.kind: 'windw' is not among the choices; did you mean 'window'? Allowed: window, stream",
+        "mine.yaml:9: polcy: unknown key 'polcy'; did you mean 'policy'? Allowed: name, simulator, observation, "
         "modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
         "mine.yaml:11: stages.0.steps: expected a whole number, got 1.5",
         "mine.yaml:11: stages.0.clip: 1 is out of range. Allowed: < 1.0",
-        f"mine.yaml:11: stages.0.gama: unknown key 'gama'; did you mean 'gamma'?. Allowed: {stage_keys}",
+        f"mine.yaml:11: stages.0.gama: unknown key 'gama'; did you mean 'gamma'? Allowed: {stage_keys}",
         "mine.yaml:12: stages.1.kind: 'kind' is missing",
         "mine.yaml:14: stages.2.steps: expected a whole number, got true",
-        "mine.yaml:15: stages.2.freeze.0: 'spatal' is not among the choices; did you mean 'spatial'?. "
+        "mine.yaml:15: stages.2.freeze.0: 'spatal' is not among the choices; did you mean 'spatial'? "
         "Allowed: spatial, encoders, temporal, fusion",
-        "mine.yaml:16: device: 'tpu' is not among the choices; did you mean 'cpu'?. Allowed: auto, cpu, cuda",
+        "mine.yaml:16: device: 'tpu' is not among the choices; did you mean 'cpu'? Allowed: auto, cpu, cuda",
     ]
 
 
 def test_keys_of_a_nested_block_of_a_union(recipe: Write) -> None:
     assert faults(recipe(RECIPE.replace("length: 4", "lenght: 4"))) == [
-        "mine.yaml:11: context.lenght: unknown key 'lenght'; did you mean 'length'?. Allowed: kind, length"
+        "mine.yaml:11: context.lenght: unknown key 'lenght'; did you mean 'length'? Allowed: kind, length"
     ]
     assert faults(recipe(RECIPE.replace("drop: 0.5", "drp: 0.5"))) == [
-        "mine.yaml:16: stages.0.learning_rate.drp: unknown key 'drp'; did you mean 'drop'?. "
+        "mine.yaml:16: stages.0.learning_rate.drp: unknown key 'drp'; did you mean 'drop'? "
         "Allowed: initial, drop, every"
     ]
 
@@ -80,7 +80,7 @@ def test_keys_of_a_nested_block_of_a_union(recipe: Write) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("map: T3", "map: T33", "mine.yaml:1: simulator.map: unknown map 'T33'; did you mean 'T3'?. Allowed: T1, T3"),
+        ("map: T3", "map: T33", "mine.yaml:1: simulator.map: unknown map 'T33'; did you mean 'T3'? Allowed: T1, T3"),
         ("density: low", "density: lo", "mine.yaml:1: simulator.density: unknown density 'lo'; did you mean 'low'?"),
         ("[front, back]", "[front, side]", "mine.yaml:3: observation.cameras: there is no camera 'side'"),
         ("height: 32", "height: 40", "mine.yaml:6: spatial: image height 40 is not a multiple of 16"),
@@ -151,9 +151,9 @@ def test_missing_files_list_what_is_shipped(recipe: Write) -> None:
     recipe("", "empty.yaml")
     recipe("- 1\n", "list.yaml")
     shipped = f"Allowed: a file, or one of {', '.join(shipped_recipes())}"
-    assert faults("quikstart") == [f"unknown recipe 'quikstart'; did you mean 'quickstart'?. {shipped}"]
+    assert faults("quikstart") == [f"unknown recipe 'quikstart'; did you mean 'quickstart'? {shipped}"]
     assert faults("recipes/quickstart.yaml") == [
-        f"there is no file 'recipes/quickstart.yaml'; did you mean 'quickstart'?. {shipped}"
+        f"there is no file 'recipes/quickstart.yaml'; did you mean 'quickstart'? {shipped}"
     ]
     assert faults("other.yaml") == [f"there is no file 'other.yaml'. {shipped}"]
     assert faults("./") == [f"'./' is not a file. {shipped}"]
@@ -167,7 +167,7 @@ def test_what_cannot_be_extended_does_not_hide_the_other_faults(recipe: Write) -
     shipped = f"Allowed: a file, or one of {', '.join(shipped_recipes())}"
     assert faults(recipe("extends: base.yaml\ntemporal: {name: unitt}\n")) == [
         f"mine.yaml:1: extends: there is no file 'base.yaml'. {shipped}",
-        "mine.yaml:2: temporal.name: unknown temporal plugin 'unitt'; did you mean 'unit'?. Allowed: attention, unit",
+        "mine.yaml:2: temporal.name: unknown temporal plugin 'unitt'; did you mean 'unit'? Allowed: attention, unit",
     ]
     assert faults(recipe("extends: [a, b]\n")) == ["mine.yaml:1: extends: expected a file or a shipped recipe's name"]
 

@@ -33,7 +33,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_all(fakes: None) -> No
     with pytest.raises(PluginError) as caught:
         registry.load("temporal", "atention")
     assert str(caught.value) == (
-        "unknown temporal plugin 'atention'; did you mean 'attention'?. Allowed: attention, unit"
+        "unknown temporal plugin 'atention'; did you mean 'attention'? Allowed: attention, unit"
     )
 
 

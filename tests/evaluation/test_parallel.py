@@ -60,7 +60,7 @@ def test_a_job_that_always_kills_its_worker_is_given_up() -> None:
 def test_mistakes_come_back_as_they_are(workers: int) -> None:
     with pytest.raises(MapError) as map_error:
         run_jobs(parallel_jobs.refuse, ["map"], workers)
-    assert str(map_error.value) == "--maps: unknown map 'T33'; did you mean 'T3'?. Allowed: T1, T3"
+    assert str(map_error.value) == "--maps: unknown map 'T33'; did you mean 'T3'? Allowed: T1, T3"
     assert map_error.value.allowed == "T1, T3"
     with pytest.raises(RecipeError) as recipe_error:
         run_jobs(parallel_jobs.refuse, ["recipe"], workers)
