@@ -11,7 +11,7 @@ from pydantic import Field, PositiveInt
 from torch import Tensor, nn
 
 from me3bev_cli.api import PluginConfig
-from me3bev_plugins.temporal.scan import scan_step, selective_scan
+from me3bev_plugins.temporal.scan import cleared, scan_step, selective_scan
 
 Memory = dict[str, Tensor]
 
@@ -100,7 +100,7 @@ class Mamba(nn.Module):
 
     def _sequence(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
         inner, gate = self.in_proj(x).chunk(2, dim=-1)
-        past = state["conv"].masked_fill(starts[:, :1, None], 0.0)
+        past = cleared(state["conv"], starts[:, 0])
         inner, conv = _causal_conv(inner, past, starts, self.conv1d.weight, self.conv1d.bias)
         inner = F.silu(inner)
         step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
@@ -115,7 +115,7 @@ class Mamba(nn.Module):
     def _step(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
         """One frame without gradients, x (B, D): the same arithmetic in as few operations as possible."""
         inner, gate = self.in_proj(x).chunk(2, dim=-1)
-        past = state["conv"].masked_fill(starts[:, None, None], 0.0)
+        past = cleared(state["conv"], starts)
         taps = torch.cat([past, inner.to(past.dtype).unsqueeze(1)], dim=1)
         kernel = self.conv1d.weight[:, 0].T
         inner = F.silu((taps * kernel).sum(1) + self.conv1d.bias)

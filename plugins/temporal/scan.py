@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-_CHUNK_ELEMENTS = 1 << 17
-"""Elements of one (T, rows, N, E) work tensor on a CPU: three of them fit a second-level cache."""
+_CHUNK_ELEMENTS = 1 << 18
+"""Elements of one (T, rows, N, E) work tensor on a CPU: small enough for the cache, large enough for few calls."""
 
 
 class _Inputs(NamedTuple):
@@ -48,17 +48,23 @@ def selective_scan(
     Returns:
         y (B, T, E) and the state after the last frame (B, N, E). Differentiable in all but `starts`.
     """
-    state = state.masked_fill(starts[:, :1, None], 0.0)
+    state = cleared(state, starts[:, 0])
     y, last = _Scan.apply(x, delta, A, B, C, state, starts)
     return y, last
+
+
+def cleared(state: Tensor, starts: Tensor) -> Tensor:
+    """The memory (B, ..., E), zero in the rows where `starts` (B,) is true, whatever was in them."""
+    if starts.device.type == "cpu" and not bool(starts.any()):
+        return state
+    return state.masked_fill(starts.view(-1, *(1 for _ in state.shape[1:])), 0.0)
 
 
 def scan_step(
     x: Tensor, delta: Tensor, A: Tensor, B: Tensor, C: Tensor, state: Tensor, starts: Tensor
 ) -> tuple[Tensor, Tensor]:
     """One frame of `selective_scan` without gradients: x, delta (B, E), B, C (B, N), starts (B,)."""
-    state = state.masked_fill(starts[:, None, None], 0.0)
-    state.mul_((delta[:, None, :] * A).exp_())
+    state = cleared(state, starts) * (delta[:, None, :] * A).exp_()
     state.baddbmm_(B[:, :, None], (delta * x)[:, None, :])
     return torch.bmm(C[:, None, :], state)[:, 0], state
 
@@ -68,6 +74,7 @@ class _Scan(torch.autograd.Function):
     def forward(ctx: Any, *args: Tensor) -> tuple[Tensor, Tensor]:
         inputs = _Inputs(*args)
         ctx.save_for_backward(*args)
+        ctx.set_materialize_grads(False)
         y, last = torch.empty_like(inputs.x), torch.empty_like(inputs.state)
         for rows, (decay, states) in _chunks(inputs, 2):
             part = _rows(inputs, rows)
@@ -81,15 +88,24 @@ class _Scan(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         inputs = _Inputs(*ctx.saved_tensors)
         grad_y, grad_last = grads
-        grad = _Inputs(*(torch.empty_like(tensor) for tensor in inputs))
+        if grad_y is None:
+            grad_y = torch.zeros_like(inputs.x)
+        wants_state = ctx.needs_input_grad[5]
+        grad = _Inputs(
+            *(
+                tensor.new_empty(tensor.shape if name != "state" or wants_state else 0)
+                for name, tensor in inputs._asdict().items()
+            )
+        )
         grad.A.zero_()
         for rows, work in _chunks(inputs, 3):
-            _chunk_backward(_rows(inputs, rows), grad_y[rows], grad_last[rows], _rows(grad, rows), work)
-        return (*grad[:-1], None)
+            last = None if grad_last is None else grad_last[rows]
+            _chunk_backward(_rows(inputs, rows), grad_y[rows], last, _rows(grad, rows), work)
+        return (*grad[:5], grad.state if wants_state else None, None)
 
 
 def _chunk_backward(
-    inputs: _Inputs, grad_y: Tensor, grad_last: Tensor, grad: _Inputs, work: tuple[Tensor, ...]
+    inputs: _Inputs, grad_y: Tensor, grad_last: Tensor | None, grad: _Inputs, work: tuple[Tensor, ...]
 ) -> None:
     """Write the gradients of some rows into `grad`, and add their share to A's."""
     decay, states, g = work
@@ -97,11 +113,13 @@ def _chunk_backward(
     grad_y, C, B = grad_y.transpose(0, 1), inputs.C.transpose(0, 1), inputs.B.transpose(0, 1)
     # g_t, the gradient of h_t, flows back through the decay of the frame after it.
     torch.mul(C.unsqueeze(-1), grad_y.unsqueeze(-2), out=g)
-    g[-1] += grad_last
+    if grad_last is not None:
+        g[-1] += grad_last
     later = g[-1]
     for g_t, decay_after in zip(reversed(g.unbind(0)[:-1]), reversed(decay.unbind(0)[1:]), strict=True):
         later = g_t.addcmul_(decay_after, later)
-    torch.mul(decay[0], g[0], out=grad.state)
+    if grad.state.numel():
+        torch.mul(decay[0], g[0], out=grad.state)
     grad.C.copy_(torch.matmul(states, grad_y.unsqueeze(-1)).squeeze(-1).transpose(0, 1))
     drive = inputs.delta * inputs.x
     grad.B.copy_(torch.matmul(g, drive.transpose(0, 1).unsqueeze(-1)).squeeze(-1).transpose(0, 1))
