@@ -6,7 +6,7 @@ from pydantic import Field, PositiveInt
 from torch import Tensor, nn
 
 from me3bev_cli.api import PluginConfig, Rig, SpatialOutput, TokenSpec
-from me3bev_plugins.spatial.trunks import Trunk
+from me3bev_plugins.spatial.trunks import Trunk, check_trunk
 
 
 class FlatCNN(nn.Module):
@@ -33,10 +33,11 @@ class FlatCNN(nn.Module):
         """One token of the configured width.
 
         Raises:
-            ValueError: when the cameras' images differ in size.
+            ValueError: when the cameras' images differ in size or the trunk does not exist.
         """
         if len({(camera.height, camera.width) for camera in rig.cameras}) > 1:
             raise ValueError("the cameras' images must all have one size")
+        check_trunk(config.trunk)
         return TokenSpec(1, 1, config.width)
 
     def forward(self, images: Tensor) -> SpatialOutput:

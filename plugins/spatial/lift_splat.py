@@ -13,7 +13,7 @@ from me3bev_plugins.spatial.bev_trunk import BEVTrunk
 from me3bev_plugins.spatial.frustum import Grid, calibration, cells_of, depth_edges, feature_size, frustum
 from me3bev_plugins.spatial.ground import GroundIndex, ground_index, warp
 from me3bev_plugins.spatial.splat import SplatIndex, build_index, splat
-from me3bev_plugins.spatial.trunks import Trunk
+from me3bev_plugins.spatial.trunks import Trunk, check_trunk
 
 Range = tuple[float, float]
 
@@ -97,14 +97,15 @@ class LiftSplat(nn.Module):
         """The token grid.
 
         Raises:
-            ValueError: when the cameras differ in size, are too small for the stride, or the tokens are finer
-                than the trunk's map.
+            ValueError: when the cameras differ in size or are too small for the stride, the trunk does not exist
+                or has no such stride, or the tokens are finer than the grid's map.
         """
         if len({(camera.height, camera.width) for camera in rig.cameras}) > 1:
             raise ValueError("the cameras' images must all have one size")
         height, width = rig.image_size
         if min(height, width) < config.stride:
             raise ValueError(f"images of {height} x {width} are smaller than the stride {config.stride}")
+        check_trunk(config.trunk, config.stride, config.neck)
         grid = config.grid()
         if config.token_rows > grid.rows // 4 or config.token_columns > grid.columns // 4:
             raise ValueError(

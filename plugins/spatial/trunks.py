@@ -75,6 +75,19 @@ class Trunk(nn.Module):
         return cast(Tensor, self.merge(cast(Tensor, self.fine_in(fine)) + above))
 
 
+def check_trunk(name: str, stride: int | None = None, neck: int | None = None) -> None:
+    """Whether there is such a trunk, with features at the stride; takes no memory.
+
+    Raises:
+        ValueError: when there is not.
+    """
+    try:
+        with torch.device("meta"):
+            Trunk(name, stride, neck=neck)
+    except PluginError as error:
+        raise ValueError(str(error)) from error
+
+
 def _tiny() -> list[nn.Module]:
     """Three small stages to strides 4, 8 and 16; the first leaps to 4, since it would cost most at 2."""
     return [

@@ -103,6 +103,20 @@ def test_more_tokens_than_the_map_has_are_refused() -> None:
         LiftSplat.output_spec(LiftSplat.Config(**(SMALL | {"token_rows": 5})), naive.rig())
 
 
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"trunk": "resnet81"}, "unknown trunk 'resnet81'; did you mean 'resnet18'"),
+        ({"stride": 32}, "'tiny' has no features at stride 32"),
+        ({"stride": 16, "neck": 8}, "'tiny' has no features at stride 32"),
+        ({"trunk": "vit_b_16"}, "'vit_b_16' cannot be a trunk"),
+    ],
+)
+def test_a_trunk_that_does_not_fit_is_refused_before_anything_is_made(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        LiftSplat.output_spec(LiftSplat.Config(**(SMALL | keys)), naive.rig())
+
+
 def test_cameras_of_two_sizes_are_refused() -> None:
     mixed = Rig(cameras=(naive.rig().cameras[0], naive.rig(height=64).cameras[1]))
     with pytest.raises(ValueError, match="must all have one size"):
