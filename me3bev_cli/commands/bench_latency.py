@@ -43,7 +43,7 @@ def bench_latency(
         "torch": torch.__version__,
     }
     rows = measure(loaded, place, batch=batch, warmup=warmup, repeats=repeats, progress=_show)
-    _print(setup, rows, to_stderr=json == "-")
+    _print(setup, rows, json)
     if json is not None:
         write_json({"setup": setup, "rows": rows}, json)
 
@@ -55,25 +55,27 @@ def _show(done: int, total: int) -> None:
         sys.stderr.flush()
 
 
-def _print(setup: dict[str, Any], rows: list[dict[str, Any]], to_stderr: bool) -> None:
-    from rich.console import Console
+def _print(setup: dict[str, Any], rows: list[dict[str, Any]], json: str | None) -> None:
+    from rich import box
     from rich.table import Table
 
-    console = Console(stderr=to_stderr)
-    console.print(f"Timed: {setup['timed']}.\nNot timed: {setup['not_timed']}.")
-    console.print(
+    from me3bev_cli.output import console
+
+    place = console(json)
+    place.print(f"timed: {setup['timed']}\nnot timed: {setup['not_timed']}")
+    place.print(
         f"{setup['device']}, {setup['threads']} threads, {setup['dtype']}, batch {setup['batch']}, "
-        f"{setup['repeats']} calls each, taking turns; torch {setup['torch']}."
+        f"{setup['repeats']} calls each, taking turns; torch {setup['torch']}"
     )
-    table = Table(caption="milliseconds; stages are medians")
-    table.add_column("recipe")
-    for name in ("params", "median", "p95", "p99", "frames/s", *rows[0]["stages"]):
-        table.add_column(name, justify="right")
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption="milliseconds; stages are medians", padding=(0, 1, 0, 0))
+    table.add_column("recipe", no_wrap=True)
+    for name in ("params", "median", "p95", "p99", "fps", *(stage.split("_")[0] for stage in rows[0]["stages"])):
+        table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
         table.add_row(
             row["name"],
-            f"{row['parameters'] / 1e6:.2f}M",
+            f"{row['parameters'] / 1e6:.1f}M",
             *(f"{row[key]:.1f}" for key in ("median_ms", "p95_ms", "p99_ms", "frames_per_s")),
             *(f"{value:.1f}" for value in row["stages"].values()),
         )
-    console.print(table)
+    place.print(table)

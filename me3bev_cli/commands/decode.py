@@ -47,17 +47,19 @@ def decode(
     )
     place = out or folder / "decode"
     result = decode_run(controller, plan, place, lambda text: print(text, file=sys.stderr, flush=True))
-    _print(result, to_stderr=json == "-")
+    _print(result, json)
     print(f"picture: {place / 'panel.png'}", file=sys.stderr)
     if json is not None:
         write_json(result, json)
 
 
-def _print(result: dict[str, Any], to_stderr: bool) -> None:
-    from rich.console import Console
+def _print(result: dict[str, Any], json: str | None) -> None:
+    from rich import box
     from rich.table import Table
 
-    table = Table(title=f"IoU on {result['frames']} held-out frames of {result['recipe']}")
+    from me3bev_cli.output import console
+
+    table = Table(box=box.SIMPLE_HEAD, title=f"IoU on {result['frames']} held-out frames of {result['recipe']}")
     table.add_column("class")
     columns = [("u_bev", "all"), ("u_bev", "near"), ("most_frequent", "all"), ("most_frequent", "near")]
     for source, mask in columns:
@@ -66,4 +68,4 @@ def _print(result: dict[str, Any], to_stderr: bool) -> None:
     for name in dict.fromkeys(row["class"] for row in result["rows"]):
         cells = [found[(source, mask, name)] for source, mask in columns]
         table.add_row(name, *("-" if value != value else f"{value:.2f}" for value in cells))
-    Console(stderr=to_stderr).print(table)
+    console(json).print(table)
