@@ -26,21 +26,18 @@ def train(
     """Train the policy of a recipe."""
     if (recipe is None) == (resume is None):
         raise UserError("name a recipe to train or a run to go on with", hint="`me3bev train RECIPE` or `--resume RUN`")
-    from me3bev_cli.recipe_loading import dump, resolve_recipe
+    from me3bev_cli.recipe_loading import resolve_recipe
+    from me3bev_cli.training.run import choose_run, open_run
 
     if resume is not None:
-        from me3bev_cli.training.run import open_run
-
         if overrides:
             raise UserError("a run goes on with its own recipe", where="--set", hint="Start a new run to change it")
         run = open_run(resume)
         loaded = resolve_recipe(str(run / "recipe.yaml"))
     else:
-        from me3bev_cli.training.run import new_run
-
         assert recipe is not None
         loaded = resolve_recipe(recipe, overrides or [])
-        run = new_run(loaded, dump(loaded), out)
+        run = choose_run(loaded, out)
     _run(loaded, run, threads, json)
 
 
@@ -51,16 +48,21 @@ def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None
     import torch
 
     from me3bev_cli.output import write_json
+    from me3bev_cli.recipe_loading import dump
     from me3bev_cli.training.display import Display
     from me3bev_cli.training.loop import Trainer
     from me3bev_cli.training.monitor import InterruptedTrainingError, Stop
+    from me3bev_cli.training.run import is_run, make_run
 
     if threads is not None:
         torch.set_num_threads(threads)
     stop = Stop()
     display = Display(sum(stage.steps for stage in recipe.stages), len(recipe.stages))
     with stop.listening():
+        # The network is built before the folder is made: a recipe that cannot be built leaves nothing behind.
         trainer = Trainer(recipe, run, display, stop)
+        if not is_run(run):
+            make_run(run, dump(recipe))
         trainer.resume()
         display.begun_at = trainer.progress.total_steps
         count = sum(p.numel() for p in trainer.network.parameters())

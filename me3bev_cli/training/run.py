@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from me3bev_cli.errors import RunError
+from me3bev_cli.files import atomic_write_text
 
 if TYPE_CHECKING:
     from me3bev_cli.recipe import Recipe
@@ -69,26 +70,29 @@ def open_run(path: str | Path) -> Path:
     return run
 
 
-def new_run(recipe: Recipe, text: str, out: Path | None = None) -> Path:
-    """Make the folder of a new run; `text` is the resolved recipe.
+def choose_run(recipe: Recipe, out: Path | None = None) -> Path:
+    """Where a new run will be kept: `out`, or a folder named by recipe and time that is not there yet.
 
     Raises:
         RunError: `out` exists and is not empty.
     """
     if out is not None:
-        if out.exists() and any(out.iterdir()):
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise RunError(f"{out} exists and is not empty", hint=f"`me3bev train --resume {out}` goes on with it")
-        run = out
-    else:
-        stem = f"{recipe.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-        run, count = runs_root() / stem, 1
-        while run.exists():
-            count += 1
-            run = runs_root() / f"{stem}-{count}"
-    run.mkdir(parents=True, exist_ok=True)
-    (run / "recipe.yaml").write_text(text)
-    (run / "metrics.jsonl").touch()
+        return out
+    stem = f"{recipe.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    run, count = runs_root() / stem, 1
+    while run.exists():
+        count += 1
+        run = runs_root() / f"{stem}-{count}"
     return run
+
+
+def make_run(run: Path, text: str) -> None:
+    """Make the folder of a new run; `text` is the resolved recipe."""
+    run.mkdir(parents=True, exist_ok=True)
+    atomic_write_text(run / "recipe.yaml", text)
+    (run / "metrics.jsonl").touch()
 
 
 def versions() -> dict[str, str]:

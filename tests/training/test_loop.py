@@ -19,13 +19,13 @@ from me3bev_cli.training.display import Display
 from me3bev_cli.training.environments import make_environments
 from me3bev_cli.training.loop import Trainer
 from me3bev_cli.training.monitor import InterruptedTrainingError, Stop
-from me3bev_cli.training.run import new_run, newest_run, open_run
+from me3bev_cli.training.run import choose_run, make_run, newest_run, open_run
 
 
 def trainer(path: Path, run: Path, *overrides: str) -> Trainer:
     recipe = resolve_recipe(path, overrides)
     if not run.exists():
-        new_run(recipe, dump(recipe), run)
+        make_run(run, dump(recipe))
     return Trainer(recipe, run, Display(sum(s.steps for s in recipe.stages), len(recipe.stages)), Stop())
 
 
@@ -169,12 +169,25 @@ def test_only_the_newest_checkpoints_are_kept(line_recipe: Path, tmp_path: Path)
 def test_runs_are_found(line_recipe: Path, tmp_path: Path) -> None:
     recipe = resolve_recipe(line_recipe)
     assert newest_run(tmp_path / "none") is None
-    run = new_run(recipe, dump(recipe), tmp_path / "runs" / "a")
+    run = choose_run(recipe, tmp_path / "runs" / "a")
+    make_run(run, dump(recipe))
     assert newest_run(tmp_path / "runs") == run
     with pytest.raises(RunError, match="exists and is not empty"):
-        new_run(recipe, dump(recipe), run)
+        choose_run(recipe, run)
     with pytest.raises(RunError, match="is not a run folder"):
         open_run(tmp_path)
+
+
+def test_what_cannot_be_built_leaves_nothing_behind(line_recipe: Path, tmp_path: Path) -> None:
+    from me3bev_cli.main import app
+
+    if torch.cuda.is_available():
+        pytest.skip("asks for a CUDA that is there")
+    arguments = ["train", str(line_recipe), "--out", str(tmp_path / "run"), "--set", "device=cuda"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert "device 'cuda' is not available here. Allowed: auto, cpu" in result.stderr
+    assert not (tmp_path / "run").exists()
 
 
 def test_train_by_command_line(line_recipe: Path, tmp_path: Path) -> None:
