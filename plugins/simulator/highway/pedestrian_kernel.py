@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.pedestrian_tables import Walks
 from me3bev_plugins.simulator.highway.scene import Light
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, draw
@@ -32,7 +32,7 @@ LEVEL = 2.5
 _RED = int(Light.RED)
 
 
-@njit(cache=True)
+@kernel
 def step_people(roads: Roads, walks: Walks, people: NDArray, fleet: Fleet, board: Board, dt: float) -> None:
     """Move everybody by one step, after the vehicles; `board.hot` and `board.lights` must be up to date."""
     board.asked[:] = 0
@@ -47,7 +47,7 @@ def step_people(roads: Roads, walks: Walks, people: NDArray, fleet: Fleet, board
     mark_walkers(roads, walks, people, board)
 
 
-@njit(cache=True)
+@kernel
 def mark_walkers(roads: Roads, walks: Walks, people: NDArray, board: Board) -> None:
     """Tell the traffic which lanes have somebody on them, or about to step on them."""
     board.walkers[:] = 0.0
@@ -64,7 +64,7 @@ def mark_walkers(roads: Roads, walks: Walks, people: NDArray, board: Board) -> N
                 board.walkers[k] = 1.0
 
 
-@njit(cache=True)
+@kernel
 def stand(walks: Walks, person: NDArray) -> tuple[float, float, float, float]:
     """(x, y, z, heading along the strip) of where somebody on a strip should be."""
     strip = walks.strips[person.strip]
@@ -77,7 +77,7 @@ def stand(walks: Walks, person: NDArray) -> tuple[float, float, float, float]:
     return x - aside * np.sin(a.heading), y + aside * np.cos(a.heading), a.z + t * (b.z - a.z), a.heading
 
 
-@njit(cache=True)
+@kernel
 def _step_to(person: NDArray, x: float, y: float, z: float, dt: float) -> bool:
     """Walk straight towards a point; whether it was reached."""
     dx, dy = x - person.x, y - person.y
@@ -96,7 +96,7 @@ def _step_to(person: NDArray, x: float, y: float, z: float, dt: float) -> bool:
     return away <= reach
 
 
-@njit(cache=True)
+@kernel
 def _stroll(walks: Walks, person: NDArray, dt: float) -> None:
     x, y, z, _ = stand(walks, person)
     near = (x - person.x) ** 2 + (y - person.y) ** 2 < 1.0
@@ -120,7 +120,7 @@ def _stroll(walks: Walks, person: NDArray, dt: float) -> None:
     _step_to(person, x, y, z, dt)
 
 
-@njit(cache=True)
+@kernel
 def _go_on(walks: Walks, person: NDArray) -> None:
     """At the end of a strip: on to the next one, or back."""
     strip = walks.strips[person.strip]
@@ -141,17 +141,18 @@ def _go_on(walks: Walks, person: NDArray) -> None:
         person.way = 1 if draw(person) < 0.5 else -1
 
 
-@njit(cache=True)
+@kernel
 def _spot(walks: Walks, person: NDArray, along: float) -> tuple[float, float, float]:
-    """(x, y, z) on a crossing."""
+    """(x, y, z) on a crossing: abreast in its middle, in file at its ends, where turning vehicles pass close."""
     c = walks.crossings[person.crossing]
     t = along / c.length
     ux, uy = (c.x1 - c.x0) / c.length, (c.y1 - c.y0) / c.length
-    aside = max(-1.0, min(1.0, person.aside))
+    room = min(1.0, 0.2 + 0.3 * max(0.0, min(along, c.length - along)))
+    aside = max(-room, min(room, person.aside))
     return c.x0 + ux * along - aside * uy, c.y0 + uy * along + aside * ux, c.z0 + t * (c.z1 - c.z0)
 
 
-@njit(cache=True)
+@kernel
 def _wait(walks: Walks, person: NDArray, fleet: Fleet, board: Board, dt: float) -> None:
     """Walk up to the kerb, wait there, and set out when the traffic allows it."""
     x, y, z = _spot(walks, person, person.along)
@@ -180,7 +181,7 @@ def _wait(walks: Walks, person: NDArray, fleet: Fleet, board: Board, dt: float) 
         board.asked[person.crossing] = 1
 
 
-@njit(cache=True)
+@kernel
 def _is_lonely(crossing: NDArray, fleet: Fleet) -> bool:
     """Whether no vehicle, wherever it is bound, could come by while the road is crossed."""
     x, y = 0.5 * (crossing.x0 + crossing.x1), 0.5 * (crossing.y0 + crossing.y1)
@@ -192,7 +193,7 @@ def _is_lonely(crossing: NDArray, fleet: Fleet) -> bool:
     return True
 
 
-@njit(cache=True)
+@kernel
 def _leave(walks: Walks, person: NDArray) -> None:
     """Turn from the kerb, or arrive at it, and walk on along the strip there."""
     crossing = walks.crossings[person.crossing]
@@ -203,7 +204,7 @@ def _leave(walks: Walks, person: NDArray) -> None:
     person.mode, person.wait = STROLL, 0.0
 
 
-@njit(cache=True)
+@kernel
 def _cross(walks: Walks, person: NDArray, fleet: Fleet, dt: float) -> None:
     crossing = walks.crossings[person.crossing]
     along = person.along + person.way * person.pace * dt
@@ -224,7 +225,7 @@ def _cross(walks: Walks, person: NDArray, fleet: Fleet, dt: float) -> None:
         _leave(walks, person)
 
 
-@njit(cache=True)
+@kernel
 def _is_obstructed(person: NDArray, ux: float, uy: float, fleet: Fleet) -> bool:
     """Whether the next half metre is taken by a vehicle, or one would be there in a moment."""
     for i in range(len(fleet.cars)):
@@ -247,7 +248,7 @@ def _is_obstructed(person: NDArray, ux: float, uy: float, fleet: Fleet) -> bool:
     return False
 
 
-@njit(cache=True)
+@kernel
 def publish_people(people: NDArray, pose: NDArray, first: int) -> None:
     """Copy poses into the columns from `first` on of `pose` (5, A)."""
     for i in range(len(people)):

@@ -17,6 +17,12 @@ GAP = 8.0
 """Least distance between bumpers, metres."""
 CLEAR_AHEAD, CLEAR_BEHIND = 12.0, 25.0
 """Free road before and behind the ego, metres."""
+CLEAR_BESIDE = 2.8
+"""Lanes whose centre comes as near as this to the ego's long axis are kept free there, metres."""
+LEVEL = 2.5
+"""Difference of height beyond which nothing meets, metres."""
+LONGEST = 12.0
+"""Of all vehicles, metres."""
 _SHARES = {Kind.CAR: 0.72, Kind.VAN: 0.12, Kind.TRUCK: 0.08, Kind.MOTORCYCLE: 0.08}
 _SIZES = {
     Kind.CAR: ((4.2, 5.0), (1.8, 2.0), (1.4, 1.7)),
@@ -87,17 +93,25 @@ def stretches(town: Town, roads: Roads, ego: Ego, path: EgoPath) -> list[Stretch
         low = 1.0 if begins else GAP / 2
         high = float(record["stop"]) - 1.0 if gated else lane.length - GAP / 2
         pieces = [(low, high)]
-        for start, end in taken.get(lane.id, ()):
+        for start, end in (*taken.get(lane.id, ()), *_shared(roads, lane.id)):
             pieces = [p for a, b in pieces for p in ((a, min(b, start)), (max(a, end), b)) if p[1] - p[0] > 2.0]
         found += [Stretch(lane.id, a, b) for a, b in pieces if b - a > 2.0]
     return found
 
 
+def _shared(roads: Roads, lane: int) -> list[tuple[float, float]]:
+    """Intervals of a lane that would be too near to a vehicle on another lane, where that one has them to itself."""
+    own = roads.zones[roads.zone_start[3, lane] : roads.zone_start[3, lane + 1]]
+    met = own[(own["other"] < lane) & (roads.lanes["junction"][own["other"]] < 0)]
+    return [(float(zone["a0"]) - LONGEST / 2, float(zone["a1"]) + LONGEST / 2) for zone in met]
+
+
 def _around_ego(town: Town, ego: Ego, path: EgoPath) -> dict[int, list[tuple[float, float]]]:
-    """Intervals of lanes that must stay empty: before and behind the ego, across the borders of lanes."""
+    """Intervals of lanes that must stay empty: before and behind the ego, across borders of lanes, and beside it."""
     here = town.lanes[int(path.lanes[path.index])]
     front, rear = path.s + ego.length / 2 + CLEAR_AHEAD, path.s - ego.length / 2 - CLEAR_BEHIND
-    taken = {here.id: [(rear, front)]}
+    taken = _beside_ego(town, ego)
+    taken.setdefault(here.id, []).append((rear, front))
     behind = [(p, -rear) for p in here.predecessors if rear < 0]
     seen = {here.id}
     while behind:
@@ -114,6 +128,22 @@ def _around_ego(town: Town, ego: Ego, path: EgoPath) -> dict[int, list[tuple[flo
         taken.setdefault(lane, []).append((0.0, metres))
         length = town.lanes[lane].length
         ahead += [(n, metres - length) for n in town.lanes[lane].successors if metres > length]
+    return taken
+
+
+def _beside_ego(town: Town, ego: Ego) -> dict[int, list[tuple[float, float]]]:
+    """Intervals of the lanes that run through the ego's box, such as those that have just parted from its own."""
+    arrays = town.arrays
+    dx, dy = arrays.xyz[:, 0] - ego.x, arrays.xyz[:, 1] - ego.y
+    c, s = np.cos(ego.heading), np.sin(ego.heading)
+    beyond = np.maximum(np.abs(dx * c + dy * s) - ego.length / 2, 0.0)
+    near = np.hypot(beyond, dy * c - dx * s) < CLEAR_BESIDE
+    near &= np.abs(arrays.xyz[:, 2] - ego.z) < LEVEL
+    lanes = np.repeat(np.arange(len(town.lanes)), np.diff(arrays.start))
+    taken: dict[int, list[tuple[float, float]]] = {}
+    for lane in np.unique(lanes[near]):
+        met = arrays.s[near & (lanes == lane)]
+        taken[int(lane)] = [(float(met.min()) - LONGEST / 2, float(met.max()) + LONGEST / 2)]
     return taken
 
 
