@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.scene import Light
 from me3bev_plugins.simulator.highway.town import Floats, Town
 
@@ -54,7 +54,7 @@ def draw_plan(town: Town, rng: np.random.Generator) -> SignalPlan:
     return plan
 
 
-@njit(cache=True)
+@kernel
 def write_lights(plan: SignalPlan, time: float, lights: NDArray) -> None:
     """State of every signal at a time, into `lights` (S,)."""
     for i in range(len(lights)):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Ints
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, cell_range
 from me3bev_plugins.simulator.highway.traffic_records import TRAIL
@@ -20,7 +20,7 @@ BERTH = 6.5
 """What a vehicle takes up in a queue beside its own length, metres."""
 
 
-@njit(cache=True)
+@kernel
 def put_entry(board: Board, lane: int, vehicle: int, s: float, half: float, speed: float) -> None:
     """Add a vehicle to a lane's list (nothing happens when the pool is full)."""
     k = board.used[0]
@@ -32,7 +32,7 @@ def put_entry(board: Board, lane: int, vehicle: int, s: float, half: float, spee
     board.used[0] = k + 1
 
 
-@njit(cache=True)
+@kernel
 def put_user(board: Board, lane: int, vehicle: int, s: float, car: NDArray, claim: int) -> None:
     """Add a user, or a claimant, of a connector."""
     k = board.used[1]
@@ -45,7 +45,7 @@ def put_user(board: Board, lane: int, vehicle: int, s: float, car: NDArray, clai
     board.used[1] = k + 1
 
 
-@njit(cache=True)
+@kernel
 def write_entries(roads: Roads, grid: Grid, fleet: Fleet, board: Board) -> None:
     """Lists of the vehicles on every lane, also where only a nose, a tail or a vehicle changing lanes is there."""
     board.heads[:] = -1
@@ -71,44 +71,43 @@ def write_entries(roads: Roads, grid: Grid, fleet: Fleet, board: Board) -> None:
     _write_footprint(roads, grid, fleet.cars[len(fleet.cars) - 1], len(fleet.cars) - 1, board)
 
 
-@njit(cache=True)
+@kernel
 def _write_footprint(roads: Roads, grid: Grid, ego: NDArray, index: int, board: Board) -> None:
     """Put the ego on every lane whose corridor its box overlaps, wherever it really is."""
     c, s = np.cos(ego.heading), np.sin(ego.heading)
-    best = np.full(64, np.inf)
-    lanes = np.full(64, -1)
-    where = np.zeros(64, np.int64)
+    near = board.near
     found = 0
     r0, r1, c0, c1 = cell_range(grid, ego.x, ego.y, 0.5 * (ego.length + ego.width) + CORRIDOR)
     for r in range(r0, r1):
         for k in range(grid.start[r * grid.shape[1] + c0], grid.start[r * grid.shape[1] + c1]):
-            p = roads.samples[grid.order[k]]
+            n = grid.order[k]
+            p = roads.samples[n]
             dx, dy = p.x - ego.x, p.y - ego.y
             if abs(dx * c + dy * s) > 0.5 * ego.length or abs(dy * c - dx * s) > 0.5 * ego.width + CORRIDOR:
                 continue
             if abs(p.z - ego.z) > LEVEL:
                 continue
+            away = dx * dx + dy * dy
             slot = 0
-            while slot < found and lanes[slot] != p.lane:
+            while slot < found and int(near[slot, 0]) != p.lane:
                 slot += 1
-            if slot == 64:
-                continue
-            found = max(found, slot + 1)
-            lanes[slot] = p.lane
-            if dx * dx + dy * dy < best[slot]:
-                best[slot] = dx * dx + dy * dy
-                where[slot] = grid.order[k]
+            if slot == found and found < len(near):
+                found += 1
+                near[slot, 0], near[slot, 2] = p.lane, np.inf
+            if slot < found and away < near[slot, 2]:
+                near[slot, 1], near[slot, 2] = n, away
     for slot in range(found):
-        p = roads.samples[where[slot]]
+        n = int(near[slot, 1])
+        p = roads.samples[n]
         lane = roads.lanes[p.lane]
         hc, hs = np.cos(p.heading), np.sin(p.heading)
-        along = (where[slot] - lane.first) * lane.step + (ego.x - p.x) * hc + (ego.y - p.y) * hs
+        along = (n - lane.first) * lane.step + (ego.x - p.x) * hc + (ego.y - p.y) * hs
         cosine, sine = c * hc + s * hs, s * hc - c * hs
         half = 0.5 * (ego.length * abs(cosine) + ego.width * abs(sine))
         put_entry(board, p.lane, index, along, half, ego.speed * cosine)
 
 
-@njit(cache=True)
+@kernel
 def write_users(roads: Roads, fleet: Fleet, board: Board) -> None:
     """Who is in, or may go into, which connector, and how much room they will take beyond it."""
     board.user_heads[:] = -1
@@ -118,7 +117,7 @@ def write_users(roads: Roads, fleet: Fleet, board: Board) -> None:
         register(roads, fleet.cars[i], fleet.path[i], fleet.trail[i], i, board)
 
 
-@njit(cache=True)
+@kernel
 def register(roads: Roads, car: NDArray, path: Ints, trail: Ints, i: int, board: Board) -> None:
     """Put one vehicle down as user of the connectors under it and of those it may go through."""
     half = 0.5 * car.length

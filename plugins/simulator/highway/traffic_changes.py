@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.traffic_board import put_entry
 from me3bev_plugins.simulator.highway.traffic_drive import follow, free_road
 from me3bev_plugins.simulator.highway.traffic_records import TRAIL
@@ -24,7 +24,7 @@ BACK = 25.0
 """No change within this distance of the start of a lane: who comes from behind it would be unseen, metres."""
 
 
-@njit(cache=True)
+@kernel
 def change_lanes(roads: Roads, fleet: Fleet, board: Board, dt: float) -> None:
     """Let every vehicle whose timer has run out think of another lane. The board must be up to date."""
     for i in range(len(fleet.cars) - 1):
@@ -44,7 +44,7 @@ def change_lanes(roads: Roads, fleet: Fleet, board: Board, dt: float) -> None:
                 break
 
 
-@njit(cache=True)
+@kernel
 def _try(roads: Roads, fleet: Fleet, board: Board, i: int, target: int, whim: bool) -> bool:
     car, path = fleet.cars[i], fleet.path[i]
     lane, goal = roads.lanes[path[0]], roads.lanes[target]
@@ -72,7 +72,7 @@ def _try(roads: Roads, fleet: Fleet, board: Board, i: int, target: int, whim: bo
     return True
 
 
-@njit(cache=True)
+@kernel
 def project(roads: Roads, lane: int, x: float, y: float, guess: float) -> tuple[float, float]:
     """(arc length, metres left) of a point with respect to a lane, near a guess of the arc length."""
     record = roads.lanes[lane]
@@ -89,7 +89,7 @@ def project(roads: Roads, lane: int, x: float, y: float, guess: float) -> tuple[
     return s + (x - px) * c + (y - py) * n, (y - py) * c - (x - px) * n
 
 
-@njit(cache=True)
+@kernel
 def _ahead(roads: Roads, board: Board, car: NDArray, lane: int, s: float, i: int) -> float:
     """IDM acceleration behind the nearest vehicle ahead of `s` on a lane."""
     free = free_road(roads.idm, car.speed, speed_at(roads, lane, s) * car.eager)
@@ -106,7 +106,7 @@ def _ahead(roads: Roads, board: Board, car: NDArray, lane: int, s: float, i: int
     return accel
 
 
-@njit(cache=True)
+@kernel
 def _followers_agree(roads: Roads, board: Board, car: NDArray, lane: int, s: float, i: int) -> bool:
     """Whether nobody behind `s` on a lane would have to brake hard."""
     k = board.heads[lane]
@@ -123,7 +123,7 @@ def _followers_agree(roads: Roads, board: Board, car: NDArray, lane: int, s: flo
     return True
 
 
-@njit(cache=True)
+@kernel
 def drift(car: NDArray, metres: float) -> float:
     """Go on with a change of lane; returns the angle between the vehicle and its lane, radians."""
     if car.change <= 0.0:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, SPLIT
 from me3bev_plugins.simulator.highway.traffic_state import Board
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
@@ -18,7 +18,7 @@ MARGIN = 1.0
 """Seconds between two vehicles that cross."""
 
 
-@njit(cache=True)
+@kernel
 def conflicts(roads: Roads, board: Board, car: NDArray, i: int, lane: int, start: float, heed: bool) -> bool:
     """Whether anybody is in the way of vehicle `i` on a connector that begins `start` metres from its centre.
 
@@ -36,7 +36,7 @@ def conflicts(roads: Roads, board: Board, car: NDArray, i: int, lane: int, start
     return False
 
 
-@njit(cache=True)
+@kernel
 def hold_distance(roads: Roads, board: Board, car: NDArray, path: NDArray, i: int) -> float:
     """How far a vehicle that gave up its right of way inside a junction may go: to the first zone that is taken."""
     own = 0.5 * car.length - HALF[car.size]
@@ -55,7 +55,16 @@ def hold_distance(roads: Roads, board: Board, car: NDArray, path: NDArray, i: in
     return nearest
 
 
-@njit(cache=True)
+@kernel
+def gives_way(user: NDArray, car: NDArray, i: int) -> bool:
+    """Whether a user that is not there yet has given up its turn in favour of vehicle `i`.
+
+    Of two that have, the first in the list that moves goes.
+    """
+    return user.meek and not (car.meek and user.speed > 0.2 and user.vehicle < i)
+
+
+@kernel
 def is_taken(
     roads: Roads, board: Board, car: NDArray, i: int, lane: int, zone: NDArray, start: float, size: int, heed: bool
 ) -> bool:
@@ -77,7 +86,7 @@ def is_taken(
         if user.vehicle == i or int(user.half > LARGE) != size:
             continue
         over = user.half - HALF[size]
-        if user.s > zone.b1 + over + 0.5 or (user.meek and user.s < zone.b0 - over):
+        if user.s > zone.b1 + over + 0.5 or (user.s < zone.b0 - over and gives_way(user, car, i)):
             continue
         if user.claim:
             if heed:
@@ -97,7 +106,7 @@ def is_taken(
     return False
 
 
-@njit(cache=True)
+@kernel
 def _is_blocked(board: Board, zone: NDArray, i: int, size: int) -> bool:
     """Whether somebody stands where the other lane of a zone crosses this one."""
     k = board.heads[zone.other]
@@ -112,7 +121,7 @@ def _is_blocked(board: Board, zone: NDArray, i: int, size: int) -> bool:
     return False
 
 
-@njit(cache=True)
+@kernel
 def time_to(metres: float, speed: float, accel: float, limit: float) -> float:
     """Seconds to cover a distance, speeding up to a limit."""
     if metres <= 0.0:

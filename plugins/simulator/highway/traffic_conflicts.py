@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Ints, Town
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid, cell_range
 from me3bev_plugins.simulator.highway.traffic_records import APART, CROSS, HALF, LEAD, MERGE, SPLIT, ZONE
@@ -84,7 +85,7 @@ def _straight_on(pose: np.void, metres: NDArray) -> NDArray:
     return piece
 
 
-@njit(cache=True)
+@kernel
 def boxes_touch(
     dx: float, dy: float, ca: float, sa: float, cb: float, sb: float, la: float, wa: float, lb: float, wb: float
 ) -> bool:
@@ -139,7 +140,7 @@ def _meet(
     return result
 
 
-@njit(cache=True)
+@kernel
 def _touch(
     p: NDArray,
     others: NDArray,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
+from me3bev_plugins.simulator.highway.traffic_claims import gives_way
 from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, MERGE
 from me3bev_plugins.simulator.highway.traffic_state import Board, speed_at
 from me3bev_plugins.simulator.highway.traffic_tables import EASE, Roads
@@ -21,19 +22,19 @@ CURB_GAP = 2.0
 """What is left free before pedestrians, metres."""
 
 
-@njit(cache=True)
+@kernel
 def decision_distance(speed: float) -> float:
     """How far before a gate a driver settles whether to go, metres."""
     return speed * speed / 4.0 + 12.0
 
 
-@njit(cache=True)
+@kernel
 def free_road(idm: Floats, speed: float, wanted: float) -> float:
     """IDM without a leader, m/s^2."""
-    return idm[0] * (1.0 - (max(speed, 0.0) / max(wanted, 0.01)) ** idm[4])
+    return max(-idm[5], idm[0] * (1.0 - (max(speed, 0.0) / max(wanted, 0.01)) ** idm[4]))
 
 
-@njit(cache=True)
+@kernel
 def follow(idm: Floats, free: float, speed: float, leader: float, distance: float, lengths: float) -> float:
     """IDM behind a leader, m/s^2, measured between centres as highway-env does.
 
@@ -44,7 +45,7 @@ def follow(idm: Floats, free: float, speed: float, leader: float, distance: floa
         lengths: half of both lengths together, metres.
     """
     wanted = idm[3] + lengths + speed * idm[2] + speed * (speed - leader) / (2.0 * np.sqrt(idm[0] * idm[1]))
-    accel = free - idm[0] * (max(wanted, 0.0) / max(distance, 0.01)) ** 2
+    accel = max(-idm[5], free - idm[0] * (max(wanted, 0.0) / max(distance, 0.01)) ** 2)
     gap = distance - lengths
     closing = speed * speed - max(leader, 0.0) ** 2
     if closing > 0.0 and gap < closing / (2.0 * FIRM) + 0.5:
@@ -53,20 +54,20 @@ def follow(idm: Floats, free: float, speed: float, leader: float, distance: floa
     return accel
 
 
-@njit(cache=True)
+@kernel
 def halt(idm: Floats, free: float, speed: float, distance: float) -> float:
     """Acceleration to stand `distance` metres further on, m/s^2."""
     if distance <= 0.05:
         return -HARDEST if speed > 0.0 else -0.1
     wanted = 0.3 + speed * 0.5 + speed * speed / (2.0 * np.sqrt(idm[0] * idm[1]))
-    accel = free - idm[0] * (wanted / distance) ** 2
+    accel = max(-idm[5], free - idm[0] * (wanted / distance) ** 2)
     needed = speed * speed / (2.0 * distance)
     if needed > 0.5 * FIRM:
         accel = min(accel, -needed)
     return accel
 
 
-@njit(cache=True)
+@kernel
 def drive(roads: Roads, board: Board, car: NDArray, path: Ints, i: int) -> float:
     """The longitudinal acceleration that a careful driver in vehicle `i` would choose now, m/s^2."""
     idm = roads.idm
@@ -84,6 +85,7 @@ def drive(roads: Roads, board: Board, car: NDArray, path: Ints, i: int) -> float
         accel = min(accel, halt(idm, free, car.speed, car.hold - 0.5))
     start = -car.s
     half = 0.5 * car.length
+    reach = 1.5 * decision_distance(car.speed)
     for k in range(car.count):
         lane = roads.lanes[path[k]]
         if start > SIGHT:
@@ -96,21 +98,23 @@ def drive(roads: Roads, board: Board, car: NDArray, path: Ints, i: int) -> float
             if line < decision_distance(car.speed) + 1.0:
                 accel = min(accel, halt(idm, free, car.speed, line))
             break
-        accel = min(accel, _meet_zones(roads, board, car, path[k], start, i, free))
-        accel = min(accel, _meet_walkers(roads, board, car, lane, start, free))
+        if start < reach:
+            accel = min(accel, _meet_zones(roads, board, car, path[k], start, i, free))
+            if lane.cross1 > lane.cross0:
+                accel = min(accel, _meet_walkers(roads, board, car, lane, start, free))
         blocked, value = _meet_leader(roads, board, car, path[k], start, i, free)
         accel = min(accel, value)
         if blocked:
             break
         start += lane.length
-        if k == car.count - 1 and lane.follow0 == lane.follow1:
-            accel = min(accel, halt(idm, free, car.speed, start - half))
+        if lane.follow0 == lane.follow1 and start - half < decision_distance(car.speed):
+            accel = min(accel, halt(idm, free, car.speed, start - half))  # A dead end.
     if car.leaving >= 0:
         accel = min(accel, _meet_leader(roads, board, car, car.leaving, -(car.s + car.shift), i, free)[1])
     return min(max(accel, -HARDEST), idm[5])
 
 
-@njit(cache=True)
+@kernel
 def _meet_leader(
     roads: Roads, board: Board, car: NDArray, lane: int, start: float, i: int, free: float
 ) -> tuple[bool, float]:
@@ -130,7 +134,7 @@ def _meet_leader(
     return True, follow(roads.idm, free, car.speed, entry.speed, nearest, lengths)
 
 
-@njit(cache=True)
+@kernel
 def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: int, start: float, i: int, free: float) -> float:
     """Acceleration for those who are where other lanes meet this one."""
     accel = free
@@ -164,7 +168,7 @@ def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: int, start: floa
     return accel
 
 
-@njit(cache=True)
+@kernel
 def _file_in(
     roads: Roads, board: Board, car: NDArray, zone: NDArray, start: float, i: int, free: float, size: int
 ) -> float:
@@ -177,7 +181,7 @@ def _file_in(
         if user.vehicle == i or user.claim or int(user.half > LARGE) != size:
             continue
         over = user.half - HALF[size]
-        if user.s > zone.b1 + over or (user.meek and user.s < zone.b0 - over):
+        if user.s > zone.b1 + over or (user.s < zone.b0 - over and gives_way(user, car, i)):
             continue
         distance = start + zone.at_a + user.s - zone.at_b
         if distance > 0.0 or (distance == 0.0 and user.vehicle < i):
@@ -186,7 +190,7 @@ def _file_in(
     return accel
 
 
-@njit(cache=True)
+@kernel
 def _meet_walkers(roads: Roads, board: Board, car: NDArray, lane: NDArray, start: float, free: float) -> float:
     """Acceleration for pedestrians in the way, and for those who wait where they may cross."""
     accel = free

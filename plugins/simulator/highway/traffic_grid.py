@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
 
 CELL = 6.0
@@ -36,7 +36,7 @@ def build_grid(points: NDArray) -> Grid:
     return Grid(start, order, origin, np.array([rows, columns], np.int32))
 
 
-@njit(cache=True)
+@kernel
 def cell_range(grid: Grid, x: float, y: float, reach: float) -> tuple[int, int, int, int]:
     """(first row, end row, first column, end column) of the cells within `reach` metres of a point."""
     row0, row1 = (y - reach - grid.origin[1]) / CELL, (y + reach - grid.origin[1]) / CELL

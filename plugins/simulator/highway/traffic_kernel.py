@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.pedestrian_kernel import publish_people, step_people
 from me3bev_plugins.simulator.highway.pedestrian_tables import Walks
 from me3bev_plugins.simulator.highway.signals import SignalPlan, write_lights
@@ -25,18 +25,17 @@ GENTLE = 2.5
 """Deceleration with which a driver yields to pedestrians, m/s^2."""
 
 
-@njit(cache=True)
+@kernel
 def look_around(roads: Roads, grid: Grid, plan: SignalPlan, fleet: Fleet, board: Board, time: float) -> None:
     """Write the board for the present state: lights and who is where."""
     write_lights(plan, time, board.lights)
     write_entries(roads, grid, fleet, board)
 
 
-@njit(cache=True)
+@kernel
 def decide(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float) -> None:
     """Settle the right of way and every vehicle's acceleration; the ego drives itself."""
     ego = len(fleet.cars) - 1
-    write_users(roads, fleet, board)
     revoke(roads, fleet, board, time)
     gate, line = next_gate(roads, fleet.cars[ego], fleet.path[ego])
     if gate > 0 and line < -0.3:
@@ -53,7 +52,7 @@ def decide(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float) -> 
         fleet.cars[i].accel = drive(roads, board, fleet.cars[i], fleet.path[i], i)
 
 
-@njit(cache=True)
+@kernel
 def move(roads: Roads, fleet: Fleet, dt: float) -> None:
     """Move every vehicle by one step, as highway-env does: first the position, then the speed."""
     for i in range(len(fleet.cars) - 1):
@@ -69,7 +68,7 @@ def move(roads: Roads, fleet: Fleet, dt: float) -> None:
     ego.still = ego.still + dt if ego.speed < 0.2 else 0.0
 
 
-@njit(cache=True)
+@kernel
 def mark_crossings(roads: Roads, fleet: Fleet, board: Board) -> None:
     """Mark the crossings that a vehicle is on, or could not stop before."""
     board.hot[:] = 0
@@ -98,7 +97,7 @@ def mark_crossings(roads: Roads, fleet: Fleet, board: Board) -> None:
                     board.hot[roads.links[n].crossing] = 1
 
 
-@njit(cache=True)
+@kernel
 def publish(fleet: Fleet, people: NDArray, pose: Floats, braking: NDArray) -> None:
     """Copy poses into the rows x, y, z, heading, speed of `pose` (5, A) and set the brake lights."""
     for i in range(len(fleet.cars) - 1):
@@ -109,7 +108,7 @@ def publish(fleet: Fleet, people: NDArray, pose: Floats, braking: NDArray) -> No
     publish_people(people, pose, len(fleet.cars) - 1)
 
 
-@njit(cache=True)
+@kernel
 def step_traffic(
     roads: Roads,
     grid: Grid,
@@ -133,7 +132,7 @@ def step_traffic(
     publish(fleet, people, pose, braking)
 
 
-@njit(cache=True)
+@kernel
 def advise_ego(roads: Roads, grid: Grid, fleet: Fleet, board: Board) -> float:
     """The acceleration a careful driver would choose in the ego's place, m/s^2."""
     write_entries(roads, grid, fleet, board)

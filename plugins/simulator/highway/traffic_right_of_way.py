@@ -8,10 +8,9 @@ by arrival, then by index; so somebody is always first and nobody waits for ever
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.scene import Light
 from me3bev_plugins.simulator.highway.town import Ints
 from me3bev_plugins.simulator.highway.traffic_board import BERTH, put_user
@@ -39,14 +38,11 @@ _RED, _AMBER = int(Light.RED), int(Light.AMBER)
 GRANTED, CONFLICT, NO_ROOM, BARRED = 0, 1, 2, 3
 
 
-@njit(cache=True)
+@kernel
 def grant_gates(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float) -> None:
     """Take grants back where they no longer hold, then grant gates in order; `write_users` must have run."""
     count = len(fleet.cars)
-    order = np.empty(count, np.int64)
-    key = np.empty((count, 2))
-    gates = np.empty(count, np.int64)
-    lines = np.empty(count)
+    order, queue = board.order, board.queue
     waiting = 0
     for i in range(count):
         car, path = fleet.cars[i], fleet.path[i]
@@ -69,19 +65,20 @@ def grant_gates(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float
         # Insertion keeps the candidates ordered by (rank, arrival, index).
         at = waiting
         while at > 0 and (
-            key[order[at - 1], 0] > rank or (key[order[at - 1], 0] == rank and key[order[at - 1], 1] > car.arrival)
+            queue[order[at - 1], 0] > rank
+            or (queue[order[at - 1], 0] == rank and queue[order[at - 1], 1] > car.arrival)
         ):
             order[at] = order[at - 1]
             at -= 1
         order[at] = i
-        key[i, 0], key[i, 1], gates[i], lines[i] = rank, car.arrival, gate, line
+        queue[i, 0], queue[i, 1], queue[i, 2], queue[i, 3] = rank, car.arrival, gate, line
         waiting += 1
     for n in range(waiting):
         i = order[n]
-        _consider(roads, fleet, board, i, gates[i], lines[i], dt)
+        _consider(roads, fleet, board, i, int(queue[i, 2]), queue[i, 3], dt)
 
 
-@njit(cache=True)
+@kernel
 def next_gate(roads: Roads, car: NDArray, path: Ints) -> tuple[int, float]:
     """(place in the path of the first gate not granted or -1, metres from the front to the end of the lane before)."""
     start = -car.s
@@ -92,7 +89,7 @@ def next_gate(roads: Roads, car: NDArray, path: Ints) -> tuple[int, float]:
     return -1, 0.0
 
 
-@njit(cache=True)
+@kernel
 def revoke(roads: Roads, fleet: Fleet, board: Board, time: float) -> None:
     """Take back grants of vehicles still before the line: the light has changed, or they have stood too long."""
     for i in range(len(fleet.cars)):
@@ -118,7 +115,7 @@ def revoke(roads: Roads, fleet: Fleet, board: Board, time: float) -> None:
             car.arrival, car.wait, car.still = time, -PATIENCE, 0.0  # To the end of the queue.
 
 
-@njit(cache=True)
+@kernel
 def _light_allows(roads: Roads, board: Board, car: NDArray, lane: int, line: float) -> bool:
     signal = roads.lanes[lane].signal
     if signal < 0:
@@ -129,7 +126,7 @@ def _light_allows(roads: Roads, board: Board, car: NDArray, lane: int, line: flo
     return state != _AMBER or car.speed**2 > 2.0 * STOPPABLE * max(line - 0.5, 0.01)
 
 
-@njit(cache=True)
+@kernel
 def _note_arrival(roads: Roads, car: NDArray, path: Ints, gate: int, line: float, time: float, dt: float) -> None:
     if car.gate != path[gate]:
         car.gate, car.arrival, car.wait, car.jam = path[gate], time, 0.0, 0.0
@@ -141,7 +138,7 @@ def _note_arrival(roads: Roads, car: NDArray, path: Ints, gate: int, line: float
         car.halted = path[gate - 1]
 
 
-@njit(cache=True)
+@kernel
 def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line: float, dt: float) -> None:
     """Grant vehicle `i` its gate, or let it claim the path if only others are in its way."""
     car, path = fleet.cars[i], fleet.path[i]
@@ -172,7 +169,7 @@ def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line:
             _take_detour(roads, car, path, gate)
 
 
-@njit(cache=True)
+@kernel
 def _take_detour(roads: Roads, car: NDArray, path: Ints, gate: int) -> None:
     other = choose_next(roads, car, path[gate - 1], path[gate])
     car.jam = 0.0
@@ -181,7 +178,7 @@ def _take_detour(roads: Roads, car: NDArray, path: Ints, gate: int) -> None:
         car.count = gate + 1
 
 
-@njit(cache=True)
+@kernel
 def _judge(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: int, line: float, between: bool) -> int:
     car, path = fleet.cars[i], fleet.path[i]
     # One between two gates heeds no claims: the claimant may be waiting for it to get out of the way.
@@ -204,7 +201,7 @@ def _judge(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: in
     return CONFLICT if clash else GRANTED
 
 
-@njit(cache=True)
+@kernel
 def _leader_is_through(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int) -> bool:
     """Whether nobody is between vehicle `i` and its gate who has not been granted one."""
     car, path = fleet.cars[i], fleet.path[i]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Ints
 from me3bev_plugins.simulator.highway.traffic_records import TRAIL
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet
@@ -19,14 +19,14 @@ FLOWING = 2.0
 """Seconds for which a vehicle at the end of a queue is expected to go on."""
 
 
-@njit(cache=True)
+@kernel
 def holds(roads: Roads, car: NDArray, first: int, last: int, metres: float) -> bool:
     """Whether a vehicle fits between two gates: `metres` of lanes from lane `first` to lane `last`."""
     end = roads.lanes[last]
     return metres - (end.length - end.stop) - roads.lanes[first].clear > car.length + 1.0
 
 
-@njit(cache=True)
+@kernel
 def is_between(roads: Roads, car: NDArray, path: Ints, trail: Ints, gate: int) -> bool:
     """Whether the gate comes so soon after another one that the vehicle cannot stand clear of both, as in a ring."""
     metres, first = 0.0, -1
@@ -45,7 +45,7 @@ def is_between(roads: Roads, car: NDArray, path: Ints, trail: Ints, gate: int) -
     return False
 
 
-@njit(cache=True)
+@kernel
 def chain_end(roads: Roads, car: NDArray, path: Ints, gate: int, between: bool) -> int:
     """The last gate that must be granted together with this one.
 
@@ -68,7 +68,7 @@ def chain_end(roads: Roads, car: NDArray, path: Ints, gate: int, between: bool) 
     return last
 
 
-@njit(cache=True)
+@kernel
 def has_room(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: int) -> bool:
     """Whether vehicle `i` can get out behind the last gate, and out of the way between any two of them."""
     car, path = fleet.cars[i], fleet.path[i]
@@ -102,7 +102,7 @@ def has_room(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: 
     return room - board.bound[path[first]] > car.length + roads.lanes[path[first]].clear
 
 
-@njit(cache=True)
+@kernel
 def _reaches(roads: Roads, car: NDArray, path: Ints, first: int, k: int, room: float) -> bool:
     """Whether the lanes from `first` on, of which those before `k` are `room` long, would hold the vehicle at all."""
     for n in range(k, car.count):
@@ -114,7 +114,7 @@ def _reaches(roads: Roads, car: NDArray, path: Ints, first: int, k: int, room: f
     return True
 
 
-@njit(cache=True)
+@kernel
 def _last_in_line(board: Board, lane: int) -> tuple[float, float]:
     """(rear, speed) of the hindmost vehicle of a lane, infinity for none."""
     rear, speed = np.inf, 0.0
@@ -127,7 +127,7 @@ def _last_in_line(board: Board, lane: int) -> tuple[float, float]:
     return rear, speed
 
 
-@njit(cache=True)
+@kernel
 def _is_empty(roads: Roads, fleet: Fleet, board: Board, i: int, first: int, end: int) -> bool:
     """Whether nobody waits, or will wait, on the lanes of path places `first` to `end` up to the next gate."""
     path = fleet.path[i]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
 from me3bev_plugins.simulator.highway.traffic_records import ENTRY, PATH, TRAIL, USER, VEHICLE
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
@@ -50,6 +50,12 @@ class Board(NamedTuple):
     """(C,) per crossing: 1 when somebody waits to cross."""
     hot: Ints
     """(C,) per crossing: 1 when a vehicle is on it or too near to stop before it."""
+    near: Floats
+    """(64, 3) scratch: lanes under the ego, with the nearest sample of each and its squared distance."""
+    queue: Floats
+    """(N + 1, 4) scratch: who is at a gate, by vehicle: rank, arrival, gate, distance to its line."""
+    order: Ints
+    """(N + 1,) scratch: the same vehicles in the order in which they are considered."""
 
 
 def new_fleet(count: int) -> Fleet:
@@ -74,10 +80,13 @@ def new_board(lanes: int, vehicles: int, signals: int, links: int, crossings: in
         np.zeros(links),
         np.zeros(crossings, np.int32),
         np.zeros(crossings, np.int32),
+        np.zeros((64, 3)),
+        np.zeros((vehicles + 1, 4)),
+        np.zeros(vehicles + 1, np.int32),
     )
 
 
-@njit(cache=True)
+@kernel
 def draw(record: NDArray) -> float:
     """The record's next random number in [0, 1) (splitmix64; the state is its field `rng`)."""
     record.rng = record.rng + np.uint64(0x9E3779B97F4A7C15)
@@ -88,7 +97,7 @@ def draw(record: NDArray) -> float:
     return float(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True)
+@kernel
 def choose_next(roads: Roads, car: NDArray, lane: int, barred: int) -> int:
     """A random successor of `lane` that admits the vehicle, another one than `barred` if there is one; -1 for none.
 
@@ -110,7 +119,7 @@ def choose_next(roads: Roads, car: NDArray, lane: int, barred: int) -> int:
     return -1
 
 
-@njit(cache=True)
+@kernel
 def _suits(roads: Roads, car: NDArray, lane: int, barred: int, attempt: int) -> bool:
     record = roads.lanes[lane]
     if attempt < 3 and not (record.admits & car.admits):
@@ -120,7 +129,7 @@ def _suits(roads: Roads, car: NDArray, lane: int, barred: int, attempt: int) -> 
     return attempt >= 1 or record.turn != 3
 
 
-@njit(cache=True)
+@kernel
 def extend(roads: Roads, car: NDArray, path: Ints) -> None:
     """Choose lanes until the way ahead is `HORIZON` long or fills the path."""
     length = -car.s
@@ -135,7 +144,7 @@ def extend(roads: Roads, car: NDArray, path: Ints) -> None:
         length += roads.lanes[following].length
 
 
-@njit(cache=True)
+@kernel
 def advance(roads: Roads, car: NDArray, path: Ints, trail: Ints, metres: float) -> None:
     """Move a vehicle along its path."""
     car.s += metres
@@ -154,7 +163,7 @@ def advance(roads: Roads, car: NDArray, path: Ints, trail: Ints, metres: float) 
     extend(roads, car, path)
 
 
-@njit(cache=True)
+@kernel
 def sample_at(roads: Roads, lane: int, s: float) -> tuple[float, float, float, float]:
     """(x, y, z, heading) of a lane's centre; straight on beyond its ends."""
     record = roads.lanes[lane]
@@ -165,7 +174,7 @@ def sample_at(roads: Roads, lane: int, s: float) -> tuple[float, float, float, f
     return a.x + t * (b.x - a.x), a.y + t * (b.y - a.y), a.z + t * (b.z - a.z), a.heading + t * (b.heading - a.heading)
 
 
-@njit(cache=True)
+@kernel
 def speed_at(roads: Roads, lane: int, s: float) -> float:
     """Permitted speed on a lane, m/s."""
     record = roads.lanes[lane]
@@ -173,7 +182,7 @@ def speed_at(roads: Roads, lane: int, s: float) -> float:
     return roads.samples[record.first + i].speed
 
 
-@njit(cache=True)
+@kernel
 def _along(roads: Roads, car: NDArray, path: Ints, trail: Ints, s: float) -> tuple[float, float, float]:
     """(x, y, z) on a vehicle's way at arc length `s` of its lane, which may lie on lanes ahead or behind."""
     if s < 0.0:
@@ -191,7 +200,7 @@ def _along(roads: Roads, car: NDArray, path: Ints, trail: Ints, s: float) -> tup
     return sample_at(roads, path[k], s)[:3]
 
 
-@njit(cache=True)
+@kernel
 def place(roads: Roads, car: NDArray, path: Ints, trail: Ints) -> None:
     """Pose of a vehicle: both axles on its way, moved sideways while it changes lanes."""
     axle = 0.3 * car.length
