@@ -18,7 +18,8 @@ NODES = {"west": (-70.0, 0.0), "east": (70.0, 0.0), "south": (0.0, -50.0), "nort
 CORNERS = {"sw": (-70.0, -50.0), "se": (70.0, -50.0), "nw": (-70.0, 50.0), "ne": (70.0, 50.0)}
 STREETS = (
     ("west", "sw", "south", 1), ("south", "se", "east", 1), ("east", "ne", "north", 1), ("north", "nw", "west", 1),
-    ("west", None, "centre", 2), ("centre", None, "east", 2), ("south", None, "centre", 1), ("centre", None, "north", 1),
+    ("west", None, "centre", 2), ("centre", None, "east", 2),
+    ("south", None, "centre", 1), ("centre", None, "north", 1),
 )  # fmt: skip
 CONTROL = {"west": "stop", "east": "yield", "south": "none", "north": "none", "centre": "signal"}
 

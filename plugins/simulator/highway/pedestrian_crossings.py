@@ -6,9 +6,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.pedestrian_ground import survey
 from me3bev_plugins.simulator.highway.town import Floats, Ints, Town
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid, cell_range
-from me3bev_plugins.simulator.highway.traffic_records import CROSSING, LINK
+from me3bev_plugins.simulator.highway.traffic_records import CROSSING, FOOTING, LINK
 
 REACH = 9.0
 """A crosswalk is used from strips within this distance of its ends, metres."""
@@ -18,13 +19,17 @@ WIDEST, NARROWEST = 22.0, 5.0
 """Range of the widths of road that are crossed without a crosswalk, metres."""
 AWAY = 20.0
 """Nobody crosses beside a crosswalk as near as this, metres."""
+ASIDE, FARTHEST = 0.7, 5.0
+"""Waiting people keep so far from the kerb, and the ends of crosswalks are moved by less than that, metres."""
 LEVEL = 2.5
 """Difference of height beyond which nothing meets, metres."""
 
 Found = tuple[NDArray, Ints, Ints, NDArray]
 
 
-def find_crossings(town: Town, lanes: NDArray, samples: NDArray, strips: NDArray, footings: NDArray) -> Found:
+def find_crossings(
+    town: Town, lanes: NDArray, samples: NDArray, ground: Grid, strips: NDArray, footings: NDArray
+) -> Found:
     """(crossings (C,), their links in one row, their signals in one row, links (K,) ordered by lane)."""
     owner = np.repeat(np.arange(len(strips)), strips["count"])
     grid = build_grid(footings)
@@ -32,6 +37,7 @@ def find_crossings(town: Town, lanes: NDArray, samples: NDArray, strips: NDArray
     loose = _loose(strips, footings, owner, grid, marked)
     crossings = np.zeros(len(marked) + len(loose), CROSSING)
     for n, (crossing, (ends, feet)) in enumerate(zip(crossings, [*marked, *loose], strict=True)):
+        ends = _off_the_road(ends, lanes, samples, ground)
         crossing["x0"], crossing["y0"], crossing["x1"], crossing["y1"] = ends.ravel()
         crossing["length"] = np.hypot(*(ends[1] - ends[0]))
         crossing["marked"] = n < len(marked)
@@ -49,6 +55,21 @@ def _marked(corners: Floats, footings: NDArray, grid: Grid) -> tuple[Floats, lis
     ends = np.array([corners[:2].mean(0), corners[2:].mean(0)])
     feet = [_nearest(footings, grid, x, y, REACH) for x, y in ends]
     return (ends, feet) if min(feet) >= 0 and feet[0] != feet[1] else None
+
+
+def _off_the_road(ends: Floats, lanes: NDArray, samples: NDArray, ground: Grid) -> Floats:
+    """The ends (2, 2) of a crossing moved outwards to where nobody who waits is in the way of turning vehicles."""
+    outward = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0])) * np.array([[-1.0], [1.0]])
+    steps = np.arange(0.0, FARTHEST, 0.25)
+    moved = ends.copy()
+    for side in (0, 1):
+        line = np.zeros(len(steps), FOOTING)
+        line["x"], line["y"] = (ends[side] + steps[:, None] * outward[side]).T
+        survey(line, samples, lanes, ground)
+        clear = np.flatnonzero(line["free"] > ASIDE)
+        if len(clear):
+            moved[side] += steps[clear[0]] * outward[side]
+    return moved
 
 
 def _loose(

@@ -27,6 +27,10 @@ FORESEEN = 1.5
 """Nobody steps before a vehicle that would be there sooner, seconds."""
 STEP_AHEAD = 2.2
 """Vehicles brake for somebody this far, or nearer, beside their lane, metres."""
+PASSED = 2.2
+"""Farther than this from a lane's centre nobody is in the way there, metres."""
+COMING = 9.0
+"""Vehicles that need not brake hard let pass who is this near to their lane and walks towards it, metres."""
 LEVEL = 2.5
 """Difference of height beyond which nothing meets, metres."""
 _RED = int(Light.RED)
@@ -60,8 +64,10 @@ def mark_walkers(roads: Roads, walks: Walks, people: NDArray, board: Board) -> N
             k = walks.met[n]
             link = roads.links[k]
             ahead = (link.along - person.along) * person.way
-            if -2.2 < ahead < 2.2 + STEP_AHEAD:
+            if -PASSED < ahead < PASSED + STEP_AHEAD:
                 board.walkers[k] = 1.0
+            elif 0.0 < ahead < COMING:
+                board.walkers[k] = max(board.walkers[k], 0.5)
 
 
 @kernel

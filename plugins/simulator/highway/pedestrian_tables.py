@@ -5,24 +5,20 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.pedestrian_crossings import REACH, find_crossings
+from me3bev_plugins.simulator.highway.pedestrian_ground import KERB, survey
 from me3bev_plugins.simulator.highway.town import Ints, Sidewalk, Town
-from me3bev_plugins.simulator.highway.traffic_grid import Grid, cell_range
+from me3bev_plugins.simulator.highway.traffic_grid import Grid
 from me3bev_plugins.simulator.highway.traffic_records import CROSSING, EXIT, FOOTING, LINK, STRIP
 
 SPACING = 1.0
 """Between two points of a strip, metres."""
-KERB = 0.3
-"""Least distance from a lane's edge, metres."""
 SHORTEST = 5.0
 """Shorter strips are not walked on, metres."""
 JOIN = 3.5
 """Ends of strips as near as this are joined, metres."""
-FAR = 30.0
-"""Lanes farther away than this do not matter to a walker, metres."""
 
 
 class Walks(NamedTuple):
@@ -48,7 +44,7 @@ def build_walks(town: Town, lanes: NDArray, samples: NDArray, grid: Grid) -> tup
     if not len(strips):
         nobody = np.zeros(0, np.int32)
         return Walks(strips, footings, np.zeros(0, EXIT), np.zeros(0, CROSSING), nobody, nobody), np.zeros(0, LINK)
-    crossings, met, signals, links = find_crossings(town, lanes, samples, strips, footings)
+    crossings, met, signals, links = find_crossings(town, lanes, samples, grid, strips, footings)
     _join(strips, footings, samples, lanes, grid)
     return Walks(strips, footings, _exits(strips, crossings), crossings, met, signals), links
 
@@ -100,25 +96,6 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Begin and end of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
-@njit(cache=True)
-def survey(points: NDArray, samples: NDArray, lanes: NDArray, grid: Grid) -> None:
-    """Fill in the height of the nearest lane and the free distance to the nearest kerb of every point."""
-    for n in range(len(points)):
-        p = points[n]
-        nearest, p.free = np.inf, FAR
-        for reach in (FAR / 3.0, 10.0 * FAR):
-            r0, r1, c0, c1 = cell_range(grid, p.x, p.y, reach)
-            for r in range(r0, r1):
-                for k in range(grid.start[r * grid.shape[1] + c0], grid.start[r * grid.shape[1] + c1]):
-                    q = samples[grid.order[k]]
-                    away = np.sqrt((q.x - p.x) ** 2 + (q.y - p.y) ** 2)
-                    p.free = min(p.free, away - 0.5 * lanes[q.lane].width - KERB)
-                    if away < nearest:
-                        nearest, p.z = away, q.z
-            if nearest < np.inf:
-                break
 
 
 def _join(strips: NDArray, footings: NDArray, samples: NDArray, lanes: NDArray, grid: Grid) -> None:

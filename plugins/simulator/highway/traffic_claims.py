@@ -56,6 +56,17 @@ def hold_distance(roads: Roads, board: Board, car: NDArray, path: NDArray, i: in
 
 
 @kernel
+def abreast(zone: NDArray, s: float) -> float:
+    """The arc length on a zone's own lane that corresponds to one on the other lane.
+
+    Before the zone both count from its start, so that each of two vehicles agrees on who is nearer.
+    """
+    if s < zone.b0:
+        return zone.at_a + (zone.b0 - zone.at_b) * zone.ratio - (zone.b0 - s)
+    return zone.at_a + (s - zone.at_b) * zone.ratio
+
+
+@kernel
 def gives_way(user: NDArray, car: NDArray, i: int) -> bool:
     """Whether a user that is not there yet has given up its turn in favour of vehicle `i`.
 
@@ -98,7 +109,7 @@ def is_taken(
             if mine + MARGIN > theirs:
                 return True
             continue
-        ahead = start + zone.at_a + (user.s - zone.at_b) * zone.ratio
+        ahead = start + abreast(zone, user.s)
         clear = 0.5 * car.length + user.half + 2.0
         gain = max(0.0, user.speed**2 - car.speed**2) / 5.0
         if -(clear + user.speed + gain) < ahead < clear:

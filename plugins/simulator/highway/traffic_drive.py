@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
-from me3bev_plugins.simulator.highway.traffic_claims import gives_way
-from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, MERGE
+from me3bev_plugins.simulator.highway.traffic_claims import abreast, gives_way
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, LEAD, SPLIT
 from me3bev_plugins.simulator.highway.traffic_state import Board, speed_at
 from me3bev_plugins.simulator.highway.traffic_tables import EASE, Roads
 
@@ -18,6 +18,8 @@ HARDEST = 8.0
 """Deceleration in an emergency, m/s^2."""
 FIRM = 4.0
 """Deceleration beyond which stopping at a mark is no longer left to the model, m/s^2."""
+GENTLE = 2.5
+"""Deceleration with which a driver yields to pedestrians, m/s^2."""
 CURB_GAP = 2.0
 """What is left free before pedestrians, metres."""
 
@@ -139,13 +141,14 @@ def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: int, start: floa
     """Acceleration for those who are where other lanes meet this one."""
     accel = free
     own = 0.5 * car.length - HALF[car.size]
+    gated = roads.lanes[lane].gate
     for size in range(2):
         pair = 2 * car.size + size
         for z in range(roads.zone_start[pair, lane], roads.zone_start[pair, lane + 1]):
             zone = roads.zones[z]
             if start + zone.a1 + own < 0.0:
                 continue
-            if zone.joint == MERGE and start + zone.a0 > own:
+            if gated and zone.kind == LEAD and zone.joint != SPLIT and start + zone.a0 > own:
                 accel = min(accel, _file_in(roads, board, car, zone, start, i, free, size))
             k = board.heads[zone.other]
             while k >= 0:
@@ -161,7 +164,7 @@ def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: int, start: floa
                     if room > 0.0:
                         accel = min(accel, halt(roads.idm, free, car.speed, room - 0.5))
                     continue
-                distance = start + zone.at_a + (entry.s - zone.at_b) * zone.ratio
+                distance = start + abreast(zone, entry.s)
                 if distance > 0.0 or (distance == 0.0 and entry.vehicle < i):
                     lengths = 0.5 * car.length + entry.half
                     accel = min(accel, follow(roads.idm, free, car.speed, entry.speed, distance, lengths))
@@ -172,7 +175,7 @@ def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: int, start: floa
 def _file_in(
     roads: Roads, board: Board, car: NDArray, zone: NDArray, start: float, i: int, free: float, size: int
 ) -> float:
-    """Acceleration behind those who will go before this vehicle where two connectors become one lane."""
+    """Acceleration behind those who will go before this vehicle where two connectors run together."""
     accel = free
     k = board.user_heads[zone.other]
     while k >= 0:
@@ -183,7 +186,7 @@ def _file_in(
         over = user.half - HALF[size]
         if user.s > zone.b1 + over or (user.s < zone.b0 - over and gives_way(user, car, i)):
             continue
-        distance = start + zone.at_a + user.s - zone.at_b
+        distance = start + abreast(zone, user.s)
         if distance > 0.0 or (distance == 0.0 and user.vehicle < i):
             lengths = 0.5 * car.length + user.half
             accel = min(accel, follow(roads.idm, free, car.speed, user.speed, distance, lengths))
@@ -200,8 +203,8 @@ def _meet_walkers(roads: Roads, board: Board, car: NDArray, lane: NDArray, start
         ahead = start + link.s - half
         if ahead < -half:
             continue
-        if board.walkers[k] > 0.0 or (
-            board.asked[link.crossing] and ahead - CURB_GAP > car.speed * car.speed / (2.0 * 2.5)
-        ):
+        comfortable = ahead - CURB_GAP > car.speed * car.speed / (2.0 * GENTLE)
+        polite = comfortable and (board.walkers[k] > 0.0 or board.asked[link.crossing])
+        if board.walkers[k] == 1.0 or polite:
             accel = min(accel, halt(roads.idm, free, car.speed, ahead - CURB_GAP))
     return accel

@@ -12,7 +12,7 @@ from me3bev_plugins.simulator.highway.town import Floats
 from me3bev_plugins.simulator.highway.traffic_board import write_entries, write_users
 from me3bev_plugins.simulator.highway.traffic_changes import change_lanes, drift
 from me3bev_plugins.simulator.highway.traffic_claims import hold_distance
-from me3bev_plugins.simulator.highway.traffic_drive import CURB_GAP, drive
+from me3bev_plugins.simulator.highway.traffic_drive import CURB_GAP, GENTLE, drive
 from me3bev_plugins.simulator.highway.traffic_grid import Grid
 from me3bev_plugins.simulator.highway.traffic_records import TRAIL
 from me3bev_plugins.simulator.highway.traffic_right_of_way import grant_gates, next_gate, revoke
@@ -21,8 +21,6 @@ from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
 MEEK_AFTER = 3.0
 """Who has stood inside a junction, or granted before it, for so long lets others go first, seconds."""
-GENTLE = 2.5
-"""Deceleration with which a driver yields to pedestrians, m/s^2."""
 
 
 @kernel

@@ -45,7 +45,7 @@ class Board(NamedTuple):
     lights: Ints
     """(S,) state of every signal."""
     walkers: Floats
-    """(K,) per link: 1 when a pedestrian is, or is about to be, in the way of the lane there."""
+    """(K,) per link: 1 when a pedestrian is, or is about to be, in the way of the lane there, 0.5 when one comes."""
     asked: Ints
     """(C,) per crossing: 1 when somebody waits to cross."""
     hot: Ints

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+
 from me3bev_plugins.simulator.highway.ego_path import EgoPath
 from me3bev_plugins.simulator.highway.scene import Actors, Ego, Light
 from me3bev_plugins.simulator.highway.signals import SignalPlan
