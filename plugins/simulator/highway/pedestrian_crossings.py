@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from me3bev_plugins.simulator.highway.pedestrian_ground import survey
 from me3bev_plugins.simulator.highway.town import Floats, Ints, Town
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid, cell_range
-from me3bev_plugins.simulator.highway.traffic_records import CROSSING, FOOTING, LINK
+from me3bev_plugins.simulator.highway.traffic_records import CROSSING, FOOTING, LINK, Record, Records
 
 REACH = 9.0
 """A crosswalk is used from strips within this distance of its ends, metres."""
@@ -19,25 +19,26 @@ WIDEST, NARROWEST = 22.0, 5.0
 """Range of the widths of road that are crossed without a crosswalk, metres."""
 AWAY = 20.0
 """Nobody crosses beside a crosswalk as near as this, metres."""
-ASIDE, FARTHEST = 0.7, 5.0
+ASIDE, FARTHEST = 0.7, 8.0
 """Waiting people keep so far from the kerb, and the ends of crosswalks are moved by less than that, metres."""
 LEVEL = 2.5
 """Difference of height beyond which nothing meets, metres."""
 
-Found = tuple[NDArray, Ints, Ints, NDArray]
+Found = tuple[Records, Ints, Ints, Records]
+Way = tuple[Floats, list[int]]
 
 
 def find_crossings(
-    town: Town, lanes: NDArray, samples: NDArray, ground: Grid, strips: NDArray, footings: NDArray
+    town: Town, lanes: Records, samples: Records, ground: Grid, strips: Records, footings: Records
 ) -> Found:
     """(crossings (C,), their links in one row, their signals in one row, links (K,) ordered by lane)."""
     owner = np.repeat(np.arange(len(strips)), strips["count"])
     grid = build_grid(footings)
-    marked = [row for row in (_marked(walk.corners, footings, grid) for walk in town.crosswalks) if row is not None]
+    ways = [_marked(walk.corners, lanes, samples, ground, footings, grid) for walk in town.crosswalks]
+    marked = [way for way in ways if way is not None]
     loose = _loose(strips, footings, owner, grid, marked)
     crossings = np.zeros(len(marked) + len(loose), CROSSING)
     for n, (crossing, (ends, feet)) in enumerate(zip(crossings, [*marked, *loose], strict=True)):
-        ends = _off_the_road(ends, lanes, samples, ground)
         crossing["x0"], crossing["y0"], crossing["x1"], crossing["y1"] = ends.ravel()
         crossing["length"] = np.hypot(*(ends[1] - ends[0]))
         crossing["marked"] = n < len(marked)
@@ -50,14 +51,18 @@ def find_crossings(
     return _pack(lanes, town, crossings[keep], [met[n] for n in keep])
 
 
-def _marked(corners: Floats, footings: NDArray, grid: Grid) -> tuple[Floats, list[int]] | None:
-    """Ends (2, 2) of a crosswalk and the footings beside them."""
-    ends = np.array([corners[:2].mean(0), corners[2:].mean(0)])
+def _marked(
+    corners: Floats, lanes: Records, samples: Records, ground: Grid, footings: Records, grid: Grid
+) -> Way | None:
+    """Ends (2, 2) of a crosswalk and the footings beside them; None where nobody can stand or get away."""
+    ends = _off_the_road(np.array([corners[:2].mean(0), corners[2:].mean(0)]), lanes, samples, ground)
+    if ends is None:
+        return None
     feet = [_nearest(footings, grid, x, y, REACH) for x, y in ends]
     return (ends, feet) if min(feet) >= 0 and feet[0] != feet[1] else None
 
 
-def _off_the_road(ends: Floats, lanes: NDArray, samples: NDArray, ground: Grid) -> Floats:
+def _off_the_road(ends: Floats, lanes: Records, samples: Records, ground: Grid) -> Floats | None:
     """The ends (2, 2) of a crossing moved outwards to where nobody who waits is in the way of turning vehicles."""
     outward = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0])) * np.array([[-1.0], [1.0]])
     steps = np.arange(0.0, FARTHEST, 0.25)
@@ -67,17 +72,16 @@ def _off_the_road(ends: Floats, lanes: NDArray, samples: NDArray, ground: Grid) 
         line["x"], line["y"] = (ends[side] + steps[:, None] * outward[side]).T
         survey(line, samples, lanes, ground)
         clear = np.flatnonzero(line["free"] > ASIDE)
-        if len(clear):
-            moved[side] += steps[clear[0]] * outward[side]
+        if not len(clear):
+            return None
+        moved[side] += steps[clear[0]] * outward[side]
     return moved
 
 
-def _loose(
-    strips: NDArray, footings: NDArray, owner: Ints, grid: Grid, marked: list[tuple[Floats, list[int]]]
-) -> list[tuple[Floats, list[int]]]:
+def _loose(strips: Records, footings: Records, owner: Ints, grid: Grid, marked: list[Way]) -> list[Way]:
     """Ends and footings of the places along the roads where somebody may cross."""
     taken = np.array([ends.mean(0) for ends, _ in marked]).reshape(-1, 2)
-    found: list[tuple[Floats, list[int]]] = []
+    found: list[Way] = []
     seen: set[tuple[int, int]] = set()
     for i, strip in enumerate(strips):
         stride = max(1, round(EVERY / strip["step"]))
@@ -96,7 +100,7 @@ def _loose(
 
 
 @njit(cache=True)
-def _nearest(footings: NDArray, grid: Grid, x: float, y: float, reach: float) -> int:
+def _nearest(footings: Records, grid: Grid, x: float, y: float, reach: float) -> int:
     """The footing nearest to a point within reach, or -1."""
     best, found = reach * reach, -1
     r0, r1, c0, c1 = cell_range(grid, x, y, reach)
@@ -110,7 +114,7 @@ def _nearest(footings: NDArray, grid: Grid, x: float, y: float, reach: float) ->
 
 
 @njit(cache=True)
-def _opposite(footings: NDArray, grid: Grid, foot: int, side: float) -> int:
+def _opposite(footings: Records, grid: Grid, foot: int, side: float) -> int:
     """The first footing straight across on one side, or -1."""
     here = footings[foot]
     nx, ny = -side * np.sin(here.heading), side * np.cos(here.heading)
@@ -124,7 +128,7 @@ def _opposite(footings: NDArray, grid: Grid, foot: int, side: float) -> int:
 
 
 @njit(cache=True)
-def _met(crossing: NDArray, samples: NDArray) -> NDArray:
+def _met(crossing: Record, samples: Records) -> NDArray:
     """Rows (lane, index of the sample before, share of the way to the next, metres along) of the lanes met."""
     dx, dy = crossing.x1 - crossing.x0, crossing.y1 - crossing.y0
     length = max(np.sqrt(dx * dx + dy * dy), 1e-6)
@@ -155,7 +159,7 @@ def _harmless(town: Town, rows: NDArray) -> bool:
     return len(crossed) <= 4 and all(lane.junction is None and not lane.highway for lane in crossed)
 
 
-def _pack(lanes: NDArray, town: Town, crossings: NDArray, met: list[NDArray]) -> Found:
+def _pack(lanes: Records, town: Town, crossings: Records, met: list[NDArray]) -> Found:
     """Links ordered by lane, and for every crossing which of them and which signals are its own."""
     rows = sorted(
         (int(row[0]), float((row[1] - lanes["first"][int(row[0])] + row[2]) * lanes["step"][int(row[0])]), c, row[3])
@@ -180,7 +184,7 @@ def _pack(lanes: NDArray, town: Town, crossings: NDArray, met: list[NDArray]) ->
     return crossings, np.array(own_links, np.int32), np.array(own_signals, np.int32), links
 
 
-def _signals(town: Town, lanes: NDArray, lane: int, s: float) -> set[int]:
+def _signals(town: Town, lanes: Records, lane: int, s: float) -> set[int]:
     """Signals that hold back who would come over a crossing at arc length `s` of a lane from its stop line."""
     record = lanes[lane]
     if record["junction"] < 0:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, cell_range
+from me3bev_plugins.simulator.highway.traffic_records import Records
 
 KERB = 0.3
 """Least distance from a lane's edge, metres."""
@@ -15,7 +15,7 @@ FAR = 30.0
 
 
 @njit(cache=True)
-def survey(points: NDArray, samples: NDArray, lanes: NDArray, grid: Grid) -> None:
+def survey(points: Records, samples: Records, lanes: Records, grid: Grid) -> None:
     """Fill in the height of the nearest lane and the free distance to the nearest kerb of every point."""
     for n in range(len(points)):
         p = points[n]

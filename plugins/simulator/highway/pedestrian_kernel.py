@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.pedestrian_tables import Walks
 from me3bev_plugins.simulator.highway.scene import Light
+from me3bev_plugins.simulator.highway.traffic_records import Record, Records
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, draw
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
@@ -37,7 +38,7 @@ _RED = int(Light.RED)
 
 
 @kernel
-def step_people(roads: Roads, walks: Walks, people: NDArray, fleet: Fleet, board: Board, dt: float) -> None:
+def step_people(roads: Roads, walks: Walks, people: Records, fleet: Fleet, board: Board, dt: float) -> None:
     """Move everybody by one step, after the vehicles; `board.hot` and `board.lights` must be up to date."""
     board.asked[:] = 0
     for i in range(len(people)):
@@ -52,7 +53,7 @@ def step_people(roads: Roads, walks: Walks, people: NDArray, fleet: Fleet, board
 
 
 @kernel
-def mark_walkers(roads: Roads, walks: Walks, people: NDArray, board: Board) -> None:
+def mark_walkers(roads: Roads, walks: Walks, people: Records, board: Board) -> None:
     """Tell the traffic which lanes have somebody on them, or about to step on them."""
     board.walkers[:] = 0.0
     for i in range(len(people)):
@@ -71,7 +72,7 @@ def mark_walkers(roads: Roads, walks: Walks, people: NDArray, board: Board) -> N
 
 
 @kernel
-def stand(walks: Walks, person: NDArray) -> tuple[float, float, float, float]:
+def stand(walks: Walks, person: Record) -> tuple[float, float, float, float]:
     """(x, y, z, heading along the strip) of where somebody on a strip should be."""
     strip = walks.strips[person.strip]
     u = person.s / strip.step
@@ -84,7 +85,7 @@ def stand(walks: Walks, person: NDArray) -> tuple[float, float, float, float]:
 
 
 @kernel
-def _step_to(person: NDArray, x: float, y: float, z: float, dt: float) -> bool:
+def _step_to(person: Record, x: float, y: float, z: float, dt: float) -> bool:
     """Walk straight towards a point; whether it was reached."""
     dx, dy = x - person.x, y - person.y
     away = np.sqrt(dx * dx + dy * dy)
@@ -103,7 +104,7 @@ def _step_to(person: NDArray, x: float, y: float, z: float, dt: float) -> bool:
 
 
 @kernel
-def _stroll(walks: Walks, person: NDArray, dt: float) -> None:
+def _stroll(walks: Walks, person: Record, dt: float) -> None:
     x, y, z, _ = stand(walks, person)
     near = (x - person.x) ** 2 + (y - person.y) ** 2 < 1.0
     if near:  # Otherwise it is still on its way over from another strip.
@@ -127,7 +128,7 @@ def _stroll(walks: Walks, person: NDArray, dt: float) -> None:
 
 
 @kernel
-def _go_on(walks: Walks, person: NDArray) -> None:
+def _go_on(walks: Walks, person: Record) -> None:
     """At the end of a strip: on to the next one, or back."""
     strip = walks.strips[person.strip]
     at_start = person.s < 0.0
@@ -148,7 +149,7 @@ def _go_on(walks: Walks, person: NDArray) -> None:
 
 
 @kernel
-def _spot(walks: Walks, person: NDArray, along: float) -> tuple[float, float, float]:
+def _spot(walks: Walks, person: Record, along: float) -> tuple[float, float, float]:
     """(x, y, z) on a crossing: abreast in its middle, in file at its ends, where turning vehicles pass close."""
     c = walks.crossings[person.crossing]
     t = along / c.length
@@ -159,7 +160,7 @@ def _spot(walks: Walks, person: NDArray, along: float) -> tuple[float, float, fl
 
 
 @kernel
-def _wait(walks: Walks, person: NDArray, fleet: Fleet, board: Board, dt: float) -> None:
+def _wait(walks: Walks, person: Record, fleet: Fleet, board: Board, dt: float) -> None:
     """Walk up to the kerb, wait there, and set out when the traffic allows it."""
     x, y, z = _spot(walks, person, person.along)
     if person.mode == APPROACH:
@@ -188,7 +189,7 @@ def _wait(walks: Walks, person: NDArray, fleet: Fleet, board: Board, dt: float) 
 
 
 @kernel
-def _is_lonely(crossing: NDArray, fleet: Fleet) -> bool:
+def _is_lonely(crossing: Record, fleet: Fleet) -> bool:
     """Whether no vehicle, wherever it is bound, could come by while the road is crossed."""
     x, y = 0.5 * (crossing.x0 + crossing.x1), 0.5 * (crossing.y0 + crossing.y1)
     for i in range(len(fleet.cars)):
@@ -200,7 +201,7 @@ def _is_lonely(crossing: NDArray, fleet: Fleet) -> bool:
 
 
 @kernel
-def _leave(walks: Walks, person: NDArray) -> None:
+def _leave(walks: Walks, person: Record) -> None:
     """Turn from the kerb, or arrive at it, and walk on along the strip there."""
     crossing = walks.crossings[person.crossing]
     first = person.along < 0.5 * crossing.length
@@ -211,7 +212,7 @@ def _leave(walks: Walks, person: NDArray) -> None:
 
 
 @kernel
-def _cross(walks: Walks, person: NDArray, fleet: Fleet, dt: float) -> None:
+def _cross(walks: Walks, person: Record, fleet: Fleet, dt: float) -> None:
     crossing = walks.crossings[person.crossing]
     along = person.along + person.way * person.pace * dt
     x, y, z = _spot(walks, person, along)
@@ -232,7 +233,7 @@ def _cross(walks: Walks, person: NDArray, fleet: Fleet, dt: float) -> None:
 
 
 @kernel
-def _is_obstructed(person: NDArray, ux: float, uy: float, fleet: Fleet) -> bool:
+def _is_obstructed(person: Record, ux: float, uy: float, fleet: Fleet) -> bool:
     """Whether the next half metre is taken by a vehicle, or one would be there in a moment."""
     for i in range(len(fleet.cars)):
         car = fleet.cars[i]
@@ -255,7 +256,7 @@ def _is_obstructed(person: NDArray, ux: float, uy: float, fleet: Fleet) -> bool:
 
 
 @kernel
-def publish_people(people: NDArray, pose: NDArray, first: int) -> None:
+def publish_people(people: Records, pose: NDArray, first: int) -> None:
     """Copy poses into the columns from `first` on of `pose` (5, A)."""
     for i in range(len(people)):
         person = people[i]

@@ -11,7 +11,7 @@ from me3bev_plugins.simulator.highway.pedestrian_crossings import REACH, find_cr
 from me3bev_plugins.simulator.highway.pedestrian_ground import KERB, survey
 from me3bev_plugins.simulator.highway.town import Ints, Sidewalk, Town
 from me3bev_plugins.simulator.highway.traffic_grid import Grid
-from me3bev_plugins.simulator.highway.traffic_records import CROSSING, EXIT, FOOTING, LINK, STRIP
+from me3bev_plugins.simulator.highway.traffic_records import CROSSING, EXIT, FOOTING, LINK, STRIP, Records
 
 SPACING = 1.0
 """Between two points of a strip, metres."""
@@ -24,13 +24,13 @@ JOIN = 3.5
 class Walks(NamedTuple):
     """The walkable part of a town."""
 
-    strips: NDArray
+    strips: Records
     """(W,) `STRIP`"""
-    footings: NDArray
+    footings: Records
     """(Q,) `FOOTING`: points of all strips."""
-    exits: NDArray
+    exits: Records
     """(E,) `EXIT`, by strip and arc length."""
-    crossings: NDArray
+    crossings: Records
     """(C,) `CROSSING`"""
     met: Ints
     """Links of all crossings in one row; those of crossing c are `met[met0:met1]`."""
@@ -38,7 +38,7 @@ class Walks(NamedTuple):
     """Signals that stop the traffic over a crossing, likewise."""
 
 
-def build_walks(town: Town, lanes: NDArray, samples: NDArray, grid: Grid) -> tuple[Walks, NDArray]:
+def build_walks(town: Town, lanes: Records, samples: Records, grid: Grid) -> tuple[Walks, NDArray]:
     """The walks and the links (K,) `LINK` between lanes and crossings; `lanes` is told which are whose."""
     strips, footings = _strips(town, lanes, samples, grid)
     if not len(strips):
@@ -49,7 +49,7 @@ def build_walks(town: Town, lanes: NDArray, samples: NDArray, grid: Grid) -> tup
     return Walks(strips, footings, _exits(strips, crossings), crossings, met, signals), links
 
 
-def _strips(town: Town, lanes: NDArray, samples: NDArray, grid: Grid) -> tuple[NDArray, NDArray]:
+def _strips(town: Town, lanes: Records, samples: Records, grid: Grid) -> tuple[NDArray, NDArray]:
     """Evenly spaced points of all sidewalks, without those on a road."""
     pieces: list[NDArray] = []
     records: list[tuple[int, int, float, float]] = []
@@ -98,7 +98,7 @@ def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _join(strips: NDArray, footings: NDArray, samples: NDArray, lanes: NDArray, grid: Grid) -> None:
+def _join(strips: Records, footings: Records, samples: Records, lanes: Records, grid: Grid) -> None:
     """Let walkers go on from the ends of strips: to the end of another strip, or to the side of one."""
     owner = np.repeat(np.arange(len(strips)), strips["count"])
     for i, strip in enumerate(strips):
@@ -117,7 +117,7 @@ def _join(strips: NDArray, footings: NDArray, samples: NDArray, lanes: NDArray, 
             strip[f"{name}_s"] = (target - strips["first"][owner[target]]) * strips["step"][owner[target]]
 
 
-def _is_clear(a: np.void, b: np.void, samples: NDArray, lanes: NDArray, grid: Grid) -> bool:
+def _is_clear(a: np.void, b: np.void, samples: Records, lanes: Records, grid: Grid) -> bool:
     """Whether the straight way from one point to another touches no lane."""
     line = np.zeros(8, FOOTING)
     for name in ("x", "y"):
@@ -126,7 +126,7 @@ def _is_clear(a: np.void, b: np.void, samples: NDArray, lanes: NDArray, grid: Gr
     return bool((line["free"] > -KERB).all())
 
 
-def _exits(strips: NDArray, crossings: NDArray) -> NDArray:
+def _exits(strips: Records, crossings: Records) -> NDArray:
     """Where walkers may leave strips for crossings; `strips` is told which are whose."""
     rows = sorted(
         (int(crossing[f"strip{side}"]), float(crossing[f"s{side}"]), c, side)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Ints
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, cell_range
-from me3bev_plugins.simulator.highway.traffic_records import TRAIL
+from me3bev_plugins.simulator.highway.traffic_records import TRAIL, Record
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
@@ -33,7 +32,7 @@ def put_entry(board: Board, lane: int, vehicle: int, s: float, half: float, spee
 
 
 @kernel
-def put_user(board: Board, lane: int, vehicle: int, s: float, car: NDArray, claim: int) -> None:
+def put_user(board: Board, lane: int, vehicle: int, s: float, car: Record, claim: int) -> None:
     """Add a user, or a claimant, of a connector."""
     k = board.used[1]
     if k >= len(board.users):
@@ -72,7 +71,7 @@ def write_entries(roads: Roads, grid: Grid, fleet: Fleet, board: Board) -> None:
 
 
 @kernel
-def _write_footprint(roads: Roads, grid: Grid, ego: NDArray, index: int, board: Board) -> None:
+def _write_footprint(roads: Roads, grid: Grid, ego: Record, index: int, board: Board) -> None:
     """Put the ego on every lane whose corridor its box overlaps, wherever it really is."""
     c, s = np.cos(ego.heading), np.sin(ego.heading)
     near = board.near
@@ -118,7 +117,7 @@ def write_users(roads: Roads, fleet: Fleet, board: Board) -> None:
 
 
 @kernel
-def register(roads: Roads, car: NDArray, path: Ints, trail: Ints, i: int, board: Board) -> None:
+def register(roads: Roads, car: Record, path: Ints, trail: Ints, i: int, board: Board) -> None:
     """Put one vehicle down as user of the connectors under it and of those it may go through."""
     half = 0.5 * car.length
     base = 0.0

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.traffic_board import put_entry
 from me3bev_plugins.simulator.highway.traffic_drive import follow, free_road
-from me3bev_plugins.simulator.highway.traffic_records import TRAIL
+from me3bev_plugins.simulator.highway.traffic_records import TRAIL, Record
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, draw, extend, sample_at, speed_at
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
-DURATION, SHORTEST = 3.0, 12.0
-"""A change takes as many metres as are driven in the duration, and no fewer than the shortest."""
+DURATION, LENGTHS = 3.0, 3.5
+"""A change takes as many metres as are driven in these seconds, and no fewer than so many lengths of the vehicle."""
 SAFE = 2.0
 """Deceleration that a change may impose on anybody (highway-env's LANE_CHANGE_MAX_BRAKING_IMPOSED), m/s^2."""
 GAIN = 0.2
@@ -48,7 +47,7 @@ def change_lanes(roads: Roads, fleet: Fleet, board: Board, dt: float) -> None:
 def _try(roads: Roads, fleet: Fleet, board: Board, i: int, target: int, whim: bool) -> bool:
     car, path = fleet.cars[i], fleet.path[i]
     lane, goal = roads.lanes[path[0]], roads.lanes[target]
-    span = max(DURATION * car.speed, SHORTEST)
+    span = max(DURATION * car.speed, LENGTHS * car.length)
     if not (goal.admits & car.admits) or goal.junction >= 0 or car.s + span + 10.0 > lane.length:
         return False
     s, lateral = project(roads, target, car.x, car.y, car.s * goal.length / lane.length)
@@ -90,7 +89,7 @@ def project(roads: Roads, lane: int, x: float, y: float, guess: float) -> tuple[
 
 
 @kernel
-def _ahead(roads: Roads, board: Board, car: NDArray, lane: int, s: float, i: int) -> float:
+def _ahead(roads: Roads, board: Board, car: Record, lane: int, s: float, i: int) -> float:
     """IDM acceleration behind the nearest vehicle ahead of `s` on a lane."""
     free = free_road(roads.idm, car.speed, speed_at(roads, lane, s) * car.eager)
     accel = free
@@ -107,7 +106,7 @@ def _ahead(roads: Roads, board: Board, car: NDArray, lane: int, s: float, i: int
 
 
 @kernel
-def _followers_agree(roads: Roads, board: Board, car: NDArray, lane: int, s: float, i: int) -> bool:
+def _followers_agree(roads: Roads, board: Board, car: Record, lane: int, s: float, i: int) -> bool:
     """Whether nobody behind `s` on a lane would have to brake hard."""
     k = board.heads[lane]
     while k >= 0:
@@ -124,7 +123,7 @@ def _followers_agree(roads: Roads, board: Board, car: NDArray, lane: int, s: flo
 
 
 @kernel
-def drift(car: NDArray, metres: float) -> float:
+def drift(car: Record, metres: float) -> float:
     """Go on with a change of lane; returns the angle between the vehicle and its lane, radians."""
     if car.change <= 0.0:
         return 0.0

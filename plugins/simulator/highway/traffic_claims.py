@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
-from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, SPLIT
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, SPLIT, Record
 from me3bev_plugins.simulator.highway.traffic_state import Board
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
@@ -19,7 +19,7 @@ MARGIN = 1.0
 
 
 @kernel
-def conflicts(roads: Roads, board: Board, car: NDArray, i: int, lane: int, start: float, heed: bool) -> bool:
+def conflicts(roads: Roads, board: Board, car: Record, i: int, lane: int, start: float, heed: bool) -> bool:
     """Whether anybody is in the way of vehicle `i` on a connector that begins `start` metres from its centre.
 
     Args:
@@ -37,7 +37,7 @@ def conflicts(roads: Roads, board: Board, car: NDArray, i: int, lane: int, start
 
 
 @kernel
-def hold_distance(roads: Roads, board: Board, car: NDArray, path: NDArray, i: int) -> float:
+def hold_distance(roads: Roads, board: Board, car: Record, path: NDArray, i: int) -> float:
     """How far a vehicle that gave up its right of way inside a junction may go: to the first zone that is taken."""
     own = 0.5 * car.length - HALF[car.size]
     nearest = np.inf
@@ -56,7 +56,7 @@ def hold_distance(roads: Roads, board: Board, car: NDArray, path: NDArray, i: in
 
 
 @kernel
-def abreast(zone: NDArray, s: float) -> float:
+def abreast(zone: Record, s: float) -> float:
     """The arc length on a zone's own lane that corresponds to one on the other lane.
 
     Before the zone both count from its start, so that each of two vehicles agrees on who is nearer.
@@ -67,7 +67,7 @@ def abreast(zone: NDArray, s: float) -> float:
 
 
 @kernel
-def gives_way(user: NDArray, car: NDArray, i: int) -> bool:
+def gives_way(user: Record, car: Record, i: int) -> bool:
     """Whether a user that is not there yet has given up its turn in favour of vehicle `i`.
 
     Of two that have, the first in the list that moves goes.
@@ -77,7 +77,7 @@ def gives_way(user: NDArray, car: NDArray, i: int) -> bool:
 
 @kernel
 def is_taken(
-    roads: Roads, board: Board, car: NDArray, i: int, lane: int, zone: NDArray, start: float, size: int, heed: bool
+    roads: Roads, board: Board, car: Record, i: int, lane: int, zone: Record, start: float, size: int, heed: bool
 ) -> bool:
     """Whether a zone is, or will be, used by somebody with the right of way before vehicle `i` is through.
 
@@ -118,7 +118,7 @@ def is_taken(
 
 
 @kernel
-def _is_blocked(board: Board, zone: NDArray, i: int, size: int) -> bool:
+def _is_blocked(board: Board, zone: Record, i: int, size: int) -> bool:
     """Whether somebody stands where the other lane of a zone crosses this one."""
     k = board.heads[zone.other]
     while k >= 0:

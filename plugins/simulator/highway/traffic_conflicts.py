@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Ints, Town
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid, cell_range
-from me3bev_plugins.simulator.highway.traffic_records import APART, CROSS, HALF, LEAD, MERGE, SPLIT, ZONE
+from me3bev_plugins.simulator.highway.traffic_records import (
+    APART,
+    CROSS,
+    HALF,
+    LEAD,
+    MERGE,
+    SPLIT,
+    ZONE,
+    Record,
+    Records,
+)
 
 HALF_WIDTHS = (1.25, 1.4)
 """Half widths of the small and the large vehicle with their margins, metres."""
@@ -21,7 +31,7 @@ LEVEL = 2.5
 _POSE = np.dtype([("x", "f8"), ("y", "f8"), ("z", "f8"), ("heading", "f8"), ("s", "f8"), ("lane", "i4")], align=True)
 
 
-def find_zones(town: Town, lanes: NDArray, samples: NDArray) -> tuple[NDArray, Ints]:
+def find_zones(town: Town, lanes: Records, samples: Records) -> tuple[NDArray, Ints]:
     """All zones, by the size of the vehicle on the lane and that of the other one. Lanes in a row have none.
 
     Returns:
@@ -38,6 +48,7 @@ def find_zones(town: Town, lanes: NDArray, samples: NDArray) -> tuple[NDArray, I
         for other in (0, 1):
             boxes = (HALF[own] + 0.25, HALF_WIDTHS[own], HALF[other] + 0.25, HALF_WIDTHS[other])
             rows = _meet(poses[own], poses[other], grids[other], near_start, near, boxes, len(lanes))
+            rows[:, 2:6] += np.array([-0.5, 0.5, -0.5, 0.5])  # The poses are about a metre apart.
             start[2 * own + other] = total + np.searchsorted(rows[:, 0], np.arange(len(lanes) + 1))
             found.append(_records(town, rows))
             total += len(rows)
@@ -60,7 +71,7 @@ def _kin(town: Town) -> tuple[Ints, Ints]:
     return start, np.array([i for k in kin for i in sorted(k)], np.int32)
 
 
-def _poses(lanes: NDArray, samples: NDArray, half: float) -> NDArray:
+def _poses(lanes: Records, samples: Records, half: float) -> NDArray:
     """Poses about a metre apart along every lane; those of connectors go on straight beyond both ends."""
     pieces = []
     for i, lane in enumerate(lanes):
@@ -104,8 +115,8 @@ def boxes_touch(
 
 @njit(cache=True)
 def _meet(
-    poses: NDArray,
-    others: NDArray,
+    poses: Records,
+    others: Records,
     grid: Grid,
     near_start: Ints,
     near: Ints,
@@ -142,8 +153,8 @@ def _meet(
 
 @kernel
 def _touch(
-    p: NDArray,
-    others: NDArray,
+    p: Record,
+    others: Records,
     grid: Grid,
     boxes: tuple[float, float, float, float],
     box: NDArray,

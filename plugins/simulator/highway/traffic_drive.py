@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
 from me3bev_plugins.simulator.highway.traffic_claims import abreast, gives_way
-from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, LEAD, SPLIT
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, LEAD, SPLIT, Record
 from me3bev_plugins.simulator.highway.traffic_state import Board, speed_at
 from me3bev_plugins.simulator.highway.traffic_tables import EASE, Roads
 
@@ -70,7 +69,7 @@ def halt(idm: Floats, free: float, speed: float, distance: float) -> float:
 
 
 @kernel
-def drive(roads: Roads, board: Board, car: NDArray, path: Ints, i: int) -> float:
+def drive(roads: Roads, board: Board, car: Record, path: Ints, i: int) -> float:
     """The longitudinal acceleration that a careful driver in vehicle `i` would choose now, m/s^2."""
     idm = roads.idm
     wanted = speed_at(roads, path[0], car.s)
@@ -118,7 +117,7 @@ def drive(roads: Roads, board: Board, car: NDArray, path: Ints, i: int) -> float
 
 @kernel
 def _meet_leader(
-    roads: Roads, board: Board, car: NDArray, lane: int, start: float, i: int, free: float
+    roads: Roads, board: Board, car: Record, lane: int, start: float, i: int, free: float
 ) -> tuple[bool, float]:
     """Whether somebody is ahead on a lane that begins `start` metres from the centre, and the acceleration for it."""
     nearest, found = np.inf, -1
@@ -137,7 +136,7 @@ def _meet_leader(
 
 
 @kernel
-def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: int, start: float, i: int, free: float) -> float:
+def _meet_zones(roads: Roads, board: Board, car: Record, lane: int, start: float, i: int, free: float) -> float:
     """Acceleration for those who are where other lanes meet this one."""
     accel = free
     own = 0.5 * car.length - HALF[car.size]
@@ -173,7 +172,7 @@ def _meet_zones(roads: Roads, board: Board, car: NDArray, lane: int, start: floa
 
 @kernel
 def _file_in(
-    roads: Roads, board: Board, car: NDArray, zone: NDArray, start: float, i: int, free: float, size: int
+    roads: Roads, board: Board, car: Record, zone: Record, start: float, i: int, free: float, size: int
 ) -> float:
     """Acceleration behind those who will go before this vehicle where two connectors run together."""
     accel = free
@@ -194,7 +193,7 @@ def _file_in(
 
 
 @kernel
-def _meet_walkers(roads: Roads, board: Board, car: NDArray, lane: NDArray, start: float, free: float) -> float:
+def _meet_walkers(roads: Roads, board: Board, car: Record, lane: Record, start: float, free: float) -> float:
     """Acceleration for pedestrians in the way, and for those who wait where they may cross."""
     accel = free
     half = 0.5 * car.length

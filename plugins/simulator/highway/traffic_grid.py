@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
+from me3bev_plugins.simulator.highway.traffic_records import Records
 
 CELL = 6.0
 """Side of a cell, metres."""
@@ -25,7 +25,7 @@ class Grid(NamedTuple):
     """(2,) rows, columns."""
 
 
-def build_grid(points: NDArray) -> Grid:
+def build_grid(points: Records) -> Grid:
     """Put records with `x` and `y` into cells."""
     xy = np.stack([points["x"], points["y"]], 1)
     origin = xy.min(0) - CELL

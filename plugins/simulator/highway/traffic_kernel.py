@@ -14,7 +14,7 @@ from me3bev_plugins.simulator.highway.traffic_changes import change_lanes, drift
 from me3bev_plugins.simulator.highway.traffic_claims import hold_distance
 from me3bev_plugins.simulator.highway.traffic_drive import CURB_GAP, GENTLE, drive
 from me3bev_plugins.simulator.highway.traffic_grid import Grid
-from me3bev_plugins.simulator.highway.traffic_records import TRAIL
+from me3bev_plugins.simulator.highway.traffic_records import TRAIL, Records
 from me3bev_plugins.simulator.highway.traffic_right_of_way import grant_gates, next_gate, revoke
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, advance, place
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
@@ -96,7 +96,7 @@ def mark_crossings(roads: Roads, fleet: Fleet, board: Board) -> None:
 
 
 @kernel
-def publish(fleet: Fleet, people: NDArray, pose: Floats, braking: NDArray) -> None:
+def publish(fleet: Fleet, people: Records, pose: Floats, braking: NDArray) -> None:
     """Copy poses into the rows x, y, z, heading, speed of `pose` (5, A) and set the brake lights."""
     for i in range(len(fleet.cars) - 1):
         car = fleet.cars[i]
@@ -113,7 +113,7 @@ def step_traffic(
     walks: Walks,
     plan: SignalPlan,
     fleet: Fleet,
-    people: NDArray,
+    people: Records,
     board: Board,
     pose: Floats,
     braking: NDArray,

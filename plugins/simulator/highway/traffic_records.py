@@ -5,7 +5,14 @@ Fixed for a town: `LANE`, `SAMPLE`, `ZONE`, `LINK`. Changing every step: `VEHICL
 
 from __future__ import annotations
 
+from typing import Any, TypeAlias
+
 import numpy as np
+
+Record: TypeAlias = Any
+"""One element of a structured array, handed to kernels by reference; its fields are attributes."""
+Records: TypeAlias = Any
+"""A structured array."""
 
 PATH = 12
 """Lanes of a vehicle's own way ahead that are remembered, the one it is on first."""

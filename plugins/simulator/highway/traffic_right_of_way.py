@@ -8,15 +8,13 @@ by arrival, then by index; so somebody is always first and nobody waits for ever
 
 from __future__ import annotations
 
-from numpy.typing import NDArray
-
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.scene import Light
 from me3bev_plugins.simulator.highway.town import Ints
 from me3bev_plugins.simulator.highway.traffic_board import BERTH, put_user
 from me3bev_plugins.simulator.highway.traffic_claims import conflicts
 from me3bev_plugins.simulator.highway.traffic_drive import decision_distance
-from me3bev_plugins.simulator.highway.traffic_records import STOP
+from me3bev_plugins.simulator.highway.traffic_records import STOP, Record
 from me3bev_plugins.simulator.highway.traffic_room import chain_end, has_room, is_between
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, choose_next
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
@@ -79,7 +77,7 @@ def grant_gates(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float
 
 
 @kernel
-def next_gate(roads: Roads, car: NDArray, path: Ints) -> tuple[int, float]:
+def next_gate(roads: Roads, car: Record, path: Ints) -> tuple[int, float]:
     """(place in the path of the first gate not granted or -1, metres from the front to the end of the lane before)."""
     start = -car.s
     for k in range(1, car.count):
@@ -116,7 +114,7 @@ def revoke(roads: Roads, fleet: Fleet, board: Board, time: float) -> None:
 
 
 @kernel
-def _light_allows(roads: Roads, board: Board, car: NDArray, lane: int, line: float) -> bool:
+def _light_allows(roads: Roads, board: Board, car: Record, lane: int, line: float) -> bool:
     signal = roads.lanes[lane].signal
     if signal < 0:
         return True
@@ -127,7 +125,7 @@ def _light_allows(roads: Roads, board: Board, car: NDArray, lane: int, line: flo
 
 
 @kernel
-def _note_arrival(roads: Roads, car: NDArray, path: Ints, gate: int, line: float, time: float, dt: float) -> None:
+def _note_arrival(roads: Roads, car: Record, path: Ints, gate: int, line: float, time: float, dt: float) -> None:
     if car.gate != path[gate]:
         car.gate, car.arrival, car.wait, car.jam = path[gate], time, 0.0, 0.0
     before = roads.lanes[path[gate - 1]]
@@ -170,7 +168,7 @@ def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line:
 
 
 @kernel
-def _take_detour(roads: Roads, car: NDArray, path: Ints, gate: int) -> None:
+def _take_detour(roads: Roads, car: Record, path: Ints, gate: int) -> None:
     other = choose_next(roads, car, path[gate - 1], path[gate])
     car.jam = 0.0
     if other >= 0 and other != path[gate]:

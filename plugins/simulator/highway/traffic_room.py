@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Ints
-from me3bev_plugins.simulator.highway.traffic_records import TRAIL
+from me3bev_plugins.simulator.highway.traffic_records import TRAIL, Record
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
@@ -20,14 +19,14 @@ FLOWING = 2.0
 
 
 @kernel
-def holds(roads: Roads, car: NDArray, first: int, last: int, metres: float) -> bool:
+def holds(roads: Roads, car: Record, first: int, last: int, metres: float) -> bool:
     """Whether a vehicle fits between two gates: `metres` of lanes from lane `first` to lane `last`."""
     end = roads.lanes[last]
     return metres - (end.length - end.stop) - roads.lanes[first].clear > car.length + 1.0
 
 
 @kernel
-def is_between(roads: Roads, car: NDArray, path: Ints, trail: Ints, gate: int) -> bool:
+def is_between(roads: Roads, car: Record, path: Ints, trail: Ints, gate: int) -> bool:
     """Whether the gate comes so soon after another one that the vehicle cannot stand clear of both, as in a ring."""
     metres, first = 0.0, -1
     for k in range(gate - 1, -1, -1):
@@ -46,7 +45,7 @@ def is_between(roads: Roads, car: NDArray, path: Ints, trail: Ints, gate: int) -
 
 
 @kernel
-def chain_end(roads: Roads, car: NDArray, path: Ints, gate: int, between: bool) -> int:
+def chain_end(roads: Roads, car: Record, path: Ints, gate: int, between: bool) -> int:
     """The last gate that must be granted together with this one.
 
     A vehicle that could not stand clear of both needs the next gate too; one that is between two such gates already
@@ -103,7 +102,7 @@ def has_room(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: 
 
 
 @kernel
-def _reaches(roads: Roads, car: NDArray, path: Ints, first: int, k: int, room: float) -> bool:
+def _reaches(roads: Roads, car: Record, path: Ints, first: int, k: int, room: float) -> bool:
     """Whether the lanes from `first` on, of which those before `k` are `room` long, would hold the vehicle at all."""
     for n in range(k, car.count):
         if roads.lanes[path[n]].gate:

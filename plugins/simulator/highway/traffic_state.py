@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
-from me3bev_plugins.simulator.highway.traffic_records import ENTRY, PATH, TRAIL, USER, VEHICLE
+from me3bev_plugins.simulator.highway.traffic_records import ENTRY, PATH, TRAIL, USER, VEHICLE, Record, Records
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
 HORIZON = 150.0
@@ -19,7 +18,7 @@ HORIZON = 150.0
 class Fleet(NamedTuple):
     """N vehicles and, last, the ego."""
 
-    cars: NDArray
+    cars: Records
     """(N + 1,) `VEHICLE`"""
     path: Ints
     """(N + 1, PATH) lanes ahead, the current one first."""
@@ -30,11 +29,11 @@ class Fleet(NamedTuple):
 class Board(NamedTuple):
     """Who is where, written anew every step: lists threaded through pools, one head per lane."""
 
-    entries: NDArray
+    entries: Records
     """`ENTRY`s of the vehicles on each lane."""
     heads: Ints
     """(L,) first entry or -1."""
-    users: NDArray
+    users: Records
     """`USER`s of each connector."""
     user_heads: Ints
     """(L,) first user or -1."""
@@ -87,7 +86,7 @@ def new_board(lanes: int, vehicles: int, signals: int, links: int, crossings: in
 
 
 @kernel
-def draw(record: NDArray) -> float:
+def draw(record: Record) -> float:
     """The record's next random number in [0, 1) (splitmix64; the state is its field `rng`)."""
     record.rng = record.rng + np.uint64(0x9E3779B97F4A7C15)
     z = record.rng
@@ -98,7 +97,7 @@ def draw(record: NDArray) -> float:
 
 
 @kernel
-def choose_next(roads: Roads, car: NDArray, lane: int, barred: int) -> int:
+def choose_next(roads: Roads, car: Record, lane: int, barred: int) -> int:
     """A random successor of `lane` that admits the vehicle, another one than `barred` if there is one; -1 for none.
 
     Turning back is for where there is nothing else.
@@ -120,7 +119,7 @@ def choose_next(roads: Roads, car: NDArray, lane: int, barred: int) -> int:
 
 
 @kernel
-def _suits(roads: Roads, car: NDArray, lane: int, barred: int, attempt: int) -> bool:
+def _suits(roads: Roads, car: Record, lane: int, barred: int, attempt: int) -> bool:
     record = roads.lanes[lane]
     if attempt < 3 and not (record.admits & car.admits):
         return False
@@ -130,7 +129,7 @@ def _suits(roads: Roads, car: NDArray, lane: int, barred: int, attempt: int) -> 
 
 
 @kernel
-def extend(roads: Roads, car: NDArray, path: Ints) -> None:
+def extend(roads: Roads, car: Record, path: Ints) -> None:
     """Choose lanes until the way ahead is `HORIZON` long or fills the path."""
     length = -car.s
     for k in range(car.count):
@@ -145,7 +144,7 @@ def extend(roads: Roads, car: NDArray, path: Ints) -> None:
 
 
 @kernel
-def advance(roads: Roads, car: NDArray, path: Ints, trail: Ints, metres: float) -> None:
+def advance(roads: Roads, car: Record, path: Ints, trail: Ints, metres: float) -> None:
     """Move a vehicle along its path."""
     car.s += metres
     while car.s >= roads.lanes[path[0]].length and car.count > 1:
@@ -183,7 +182,7 @@ def speed_at(roads: Roads, lane: int, s: float) -> float:
 
 
 @kernel
-def _along(roads: Roads, car: NDArray, path: Ints, trail: Ints, s: float) -> tuple[float, float, float]:
+def _along(roads: Roads, car: Record, path: Ints, trail: Ints, s: float) -> tuple[float, float, float]:
     """(x, y, z) on a vehicle's way at arc length `s` of its lane, which may lie on lanes ahead or behind."""
     if s < 0.0:
         for k in range(TRAIL):
@@ -201,7 +200,7 @@ def _along(roads: Roads, car: NDArray, path: Ints, trail: Ints, s: float) -> tup
 
 
 @kernel
-def place(roads: Roads, car: NDArray, path: Ints, trail: Ints) -> None:
+def place(roads: Roads, car: Record, path: Ints, trail: Ints) -> None:
     """Pose of a vehicle: both axles on its way, moved sideways while it changes lanes."""
     axle = 0.3 * car.length
     fx, fy, fz = _along(roads, car, path, trail, car.s + axle)

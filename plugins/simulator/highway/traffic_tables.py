@@ -26,6 +26,7 @@ from me3bev_plugins.simulator.highway.traffic_records import (
     SPLIT,
     STOP,
     YIELD,
+    Records,
 )
 
 LATERAL = 2.5
@@ -43,18 +44,18 @@ _LENGTHS = {MEDIUM: 9.0, LONG: 12.0}
 class Roads(NamedTuple):
     """The lanes of a town as records, and highway-env's IDM parameters."""
 
-    lanes: NDArray
+    lanes: Records
     """(L,) `LANE`"""
-    samples: NDArray
+    samples: Records
     """(P,) `SAMPLE`"""
     follow: Ints
     """Successors of all lanes, in one row."""
-    zones: NDArray
+    zones: Records
     """(Z,) `ZONE`"""
     zone_start: Ints
     """(4, L + 1): zones of lane i for a vehicle of size own and another one of size other are
     `zone_start[2 * own + other, i] : zone_start[2 * own + other, i + 1]`."""
-    links: NDArray
+    links: Records
     """(K,) `LINK`"""
     idm: Floats
     """(5,) desired acceleration, comfortable deceleration (positive), time gap, jam gap between bumpers, exponent."""
@@ -146,7 +147,7 @@ def _speeds(s: Floats, heading: Floats, limit: float) -> Floats:
     return speed
 
 
-def _control(town: Town, lanes: NDArray) -> None:
+def _control(town: Town, lanes: Records) -> None:
     """Signals and signs at the ends of lanes, and the rank of every connector in its junction."""
     lanes["signal"] = -1
     lanes["sign"] = GO
@@ -166,7 +167,7 @@ def _control(town: Town, lanes: NDArray) -> None:
             lanes["rank"][connector] = 2 * gives_way + turns_across
 
 
-def _admit(town: Town, lanes: NDArray, samples: NDArray, zones: NDArray, zone_start: Ints) -> None:
+def _admit(town: Town, lanes: Records, samples: Records, zones: Records, zone_start: Ints) -> None:
     """Which sizes of vehicles may use a lane: wide enough in its bends, and with a way on that never ends."""
     gate = lanes["gate"] > 0
     roomy = np.array([not _sweeps_far(lanes, zones, zone_start, i) for i in range(len(lanes))])
@@ -187,7 +188,7 @@ def _admit(town: Town, lanes: NDArray, samples: NDArray, zones: NDArray, zone_st
             lanes["admits"] |= np.where(fits, size, 0)
 
 
-def _sweeps_far(lanes: NDArray, zones: NDArray, zone_start: Ints, lane: int) -> bool:
+def _sweeps_far(lanes: Records, zones: Records, zone_start: Ints, lane: int) -> bool:
     """Whether a large vehicle on a connector would need more of the roads beside it than small ones leave it there."""
     if lanes["junction"][lane] < 0:
         return False
@@ -202,7 +203,7 @@ def _sweeps_far(lanes: NDArray, zones: NDArray, zone_start: Ints, lane: int) -> 
     return False
 
 
-def _leaves_room(town: Town, lanes: NDArray, gate: NDArray[np.bool_], lane: int, length: float) -> bool:
+def _leaves_room(town: Town, lanes: Records, gate: NDArray[np.bool_], lane: int, length: float) -> bool:
     """Whether a vehicle of a length that leaves a connector can stand clear of every next one."""
     if not gate[lane]:
         return True
@@ -234,7 +235,7 @@ def _endless(town: Town, allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return alive
 
 
-def _gates(town: Town, lanes: NDArray, zones: NDArray, zone_start: Ints) -> None:
+def _gates(town: Town, lanes: Records, zones: Records, zone_start: Ints) -> None:
     """Connectors that may only be entered when granted: those that meet others, and those behind a signal or sign."""
     for lane in town.lanes:
         if lane.junction is None:
@@ -246,7 +247,7 @@ def _gates(town: Town, lanes: NDArray, zones: NDArray, zone_start: Ints) -> None
 
 
 def _stop_lines(
-    lanes: NDArray, zones: NDArray, zone_start: Ints, links: NDArray, crossings: NDArray, follow: Ints
+    lanes: Records, zones: Records, zone_start: Ints, links: Records, crossings: Records, follow: Ints
 ) -> None:
     """Where vehicles that wait at a gate, or have just left one, are out of everybody's way.
 
