@@ -42,6 +42,7 @@ def find_zones(town: Town, lanes: Records, samples: Records) -> tuple[NDArray, I
     found: list[NDArray] = []
     start = np.zeros((4, len(lanes) + 1), np.int32)
     total = 0
+    common: set[tuple[int, int]] = set()
     poses = [_poses(lanes, samples, half) for half in HALF]
     grids = [build_grid(p) for p in poses]
     for own in (0, 1):
@@ -49,10 +50,26 @@ def find_zones(town: Town, lanes: Records, samples: Records) -> tuple[NDArray, I
             boxes = (HALF[own] + 0.25, HALF_WIDTHS[own], HALF[other] + 0.25, HALF_WIDTHS[other])
             rows = _meet(poses[own], poses[other], grids[other], near_start, near, boxes, len(lanes))
             rows[:, 2:6] += np.array([-0.5, 0.5, -0.5, 0.5])  # The poses are about a metre apart.
+            zones = _records(town, rows)
+            if own or other:
+                kept = _kept(lanes, rows, zones, common)
+                rows, zones = rows[kept], zones[kept]
+            else:
+                common = {(int(a), int(b)) for a, b in rows[:, :2]}
             start[2 * own + other] = total + np.searchsorted(rows[:, 0], np.arange(len(lanes) + 1))
-            found.append(_records(town, rows))
+            found.append(zones)
             total += len(rows)
     return np.concatenate(found), start
+
+
+def _kept(lanes: Records, rows: NDArray, zones: Records, common: set[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Which zones of large vehicles count. Beside one another on the road only those that small vehicles have too:
+    the boxes are wider than life there, and who does not fit into its lane's bends is not admitted to it.
+    """
+    on_road = (lanes["junction"][rows[:, 0].astype(int)] < 0) & (lanes["junction"][zones["other"]] < 0)
+    shared = np.array([(int(a), int(b)) in common for a, b in rows[:, :2]], np.bool_)
+    kept: NDArray[np.bool_] = ~on_road | shared | (zones["kind"] == LEAD)
+    return kept
 
 
 def _kin(town: Town) -> tuple[Ints, Ints]:

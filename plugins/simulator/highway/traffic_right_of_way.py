@@ -110,7 +110,7 @@ def revoke(roads: Roads, fleet: Fleet, board: Board, time: float) -> None:
             car.clear = 0
         elif car.still > LAPSE:
             car.clear = 0
-            car.arrival, car.wait, car.still = time, -PATIENCE, 0.0  # To the end of the queue.
+            car.arrival, car.wait, car.still = time, min(car.wait, PATIENCE - 2.0), 0.0  # Others first.
 
 
 @kernel

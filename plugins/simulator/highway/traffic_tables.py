@@ -180,8 +180,8 @@ def _admit(town: Town, lanes: Records, samples: Records, zones: Records, zone_st
         endless[:] = True  # A town without any loop: vehicles stop where the road does.
     lanes["admits"] = np.where(endless, SMALL, 0)
     for size, length in _LENGTHS.items():
-        # Half of the sagitta over its length: a vehicle with both axles on the line sweeps that much to either side.
-        sweep = length**2 * sharpest / 16 + 1.25
+        # Both axles are on the line, 0.6 of the length apart: so far the outer front corner leaves it.
+        sweep = 0.08 * length**2 * sharpest + 1.25
         stays = np.array([_leaves_room(town, lanes, gate, i, length) for i in range(len(lanes))])
         fits = _endless(town, endless & roomy & stays & (sweep <= lanes["width"] / 2 + 0.2))
         if (lanes["length"] * fits).sum() > 0.2 * lanes["length"].sum():
