@@ -12,7 +12,10 @@ from me3bev_cli.errors import UserError
 
 SIZE = 200
 """Cells per side of the semantic map."""
+COARSE = 25
+"""Cells per side at which the ResNet works: three times finer than the tokens."""
 SHALLOW = 64
+"""Channels of the shallow features."""
 
 
 class SemanticDecoder(nn.Module):
@@ -38,7 +41,7 @@ class SemanticDecoder(nn.Module):
             nn.Conv2d(256 + SHALLOW, 64, 3, padding=1),
             nn.BatchNorm2d(64),
             nn.ReLU(),
-            nn.Upsample(scale_factor=2, mode="bilinear"),
+            nn.Upsample(scale_factor=4, mode="bilinear"),
             nn.Conv2d(64, 32, 3, padding=1),
             nn.BatchNorm2d(32),
             nn.ReLU(),
@@ -48,7 +51,7 @@ class SemanticDecoder(nn.Module):
     def forward(self, latent: Tensor) -> Tensor:
         """(N, K, D) -> (N, 8, 200, 200)."""
         grid = latent.transpose(1, 2).reshape(-1, self.tokens.width, self.tokens.rows, self.tokens.columns)
-        shallow = self.conv(interpolate(grid, size=(SIZE // 4, SIZE // 4), mode="bilinear"))
+        shallow = self.conv(interpolate(grid, size=(COARSE, COARSE), mode="bilinear"))
         deep = interpolate(self.deep(shallow), size=shallow.shape[-2:], mode="bilinear")
         scores = self.head(torch.cat([deep, shallow], 1))
         return interpolate(scores, size=(SIZE, SIZE), mode="bilinear")
