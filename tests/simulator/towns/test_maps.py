@@ -64,7 +64,7 @@ def test_the_same_town_is_shared() -> None:
 
 
 def test_an_unknown_map_is_a_map_error_that_lists_the_maps() -> None:
-    with pytest.raises(MapError, match=r"unknown map 'T33'; did you mean 'T3'\?. Allowed: T1, T2, T3, T4, T5, T6, T7"):
+    with pytest.raises(MapError, match=r"unknown map 'T33'; did you mean 'T3'\? Allowed: T1, T2, T3, T4, T5, T6, T7"):
         load_town("T33")
 
 
