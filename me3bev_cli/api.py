@@ -289,7 +289,7 @@ class SimulatorPlugin(Protocol):
         ...
 
     def rig(self, observation: ObservationConfig) -> Rig:
-        """Calibration of the chosen cameras. Raises ValueError for a camera that does not exist."""
+        """Calibration of the chosen cameras. Raises UserError for a camera that does not exist."""
         ...
 
     def make_env(
