@@ -57,12 +57,16 @@ def test_every_package_has_an_init_file() -> None:
     assert [package for package in PACKAGES if not (folder_of(package) / "__init__.py").is_file()] == []
 
 
+RESULTS = ROOT / "recipes" / "results"
+"""Figures and pictures that the README shows: kept with the sources, not shipped."""
+
+
 def test_every_data_file_is_packaged() -> None:
     data = PROJECT["tool"]["setuptools"]["package-data"]
     left_out = []
     for path in project_files():
         owner = next((p for p, folder in PACKAGE_DIR.items() if path.is_relative_to(ROOT / folder)), None)
-        if owner is None or path.suffix == ".py":
+        if owner is None or path.suffix == ".py" or path.is_relative_to(RESULTS):
             continue
         inside = {p: path.relative_to(folder_of(p)).as_posix() for p in data if path.is_relative_to(folder_of(p))}
         if not any(fnmatch(name, pattern) for p, name in inside.items() for pattern in data[p]):
