@@ -19,6 +19,8 @@ FIRM = 4.0
 """Deceleration beyond which stopping at a mark is no longer left to the model, m/s^2."""
 GENTLE = 2.5
 """Deceleration with which a driver yields to pedestrians, m/s^2."""
+FORESIGHT = 0.6
+"""How far ahead on its own lane a driver sees what a bend allows, seconds."""
 CURB_GAP = 2.0
 """What is left free before pedestrians, metres."""
 
@@ -72,16 +74,8 @@ def halt(idm: Floats, free: float, speed: float, distance: float) -> float:
 def drive(roads: Roads, board: Board, car: Record, path: Ints, i: int) -> float:
     """The longitudinal acceleration that a careful driver in vehicle `i` would choose now, m/s^2."""
     idm = roads.idm
-    wanted = speed_at(roads, path[0], car.s)
-    start = -car.s
-    for k in range(1, car.count):
-        start += roads.lanes[path[k - 1]].length
-        if start > SIGHT:
-            break
-        entry = roads.lanes[path[k]].speed
-        wanted = min(wanted, np.sqrt(entry * entry + 2.0 * EASE * start))
-    free = free_road(idm, car.speed, wanted * car.eager)
-    accel = free
+    accel = _keep_to_limits(roads, car, path)
+    free = accel
     if car.meek:
         accel = min(accel, halt(idm, free, car.speed, car.hold - 0.5))
     start = -car.s
@@ -113,6 +107,29 @@ def drive(roads: Roads, board: Board, car: Record, path: Ints, i: int) -> float:
     if car.leaving >= 0:
         accel = min(accel, _meet_leader(roads, board, car, car.leaving, -(car.s + car.shift), i, free)[1])
     return min(max(accel, -HARDEST), idm[5])
+
+
+@kernel
+def _keep_to_limits(roads: Roads, car: Record, path: Ints) -> float:
+    """Acceleration on a free road with its limits and bends, here and ahead, m/s^2."""
+    here = speed_at(roads, path[0], car.s)
+    wanted, needed = here, 0.0
+    soon = max(FORESIGHT * car.speed, 0.5)
+    start = -car.s
+    for k in range(car.count):
+        if start > SIGHT:
+            break
+        entry = roads.lanes[path[k]].speed if k > 0 else speed_at(roads, path[0], car.s + soon)
+        metres = start if k > 0 else soon
+        wanted = min(wanted, np.sqrt(entry * entry + 2.0 * EASE * metres))
+        if entry < here:
+            entry *= car.eager
+            needed = max(needed, (car.speed * car.speed - entry * entry) / (2.0 * max(metres, 0.5)))
+        start += roads.lanes[path[k]].length
+    accel = free_road(roads.idm, car.speed, wanted * car.eager)
+    if needed > 0.75 * EASE:  # The model alone would still be too fast when it gets there.
+        accel = min(accel, -min(needed, FIRM))
+    return accel
 
 
 @kernel

@@ -106,7 +106,8 @@ def revoke(roads: Roads, fleet: Fleet, board: Board, time: float) -> None:
         line = start - 0.5 * car.length
         if line <= 0.0 or roads.lanes[path[0]].gate:
             continue
-        if not _light_allows(roads, board, car, path[k - 1], line):
+        clears = i < len(fleet.cars) - 1 and roads.lanes[path[k]].rank > 0
+        if not _light_allows(roads, board, car, path[k - 1], line, clears):
             car.clear = 0
         elif car.still > LAPSE:
             car.clear = 0
@@ -114,14 +115,21 @@ def revoke(roads: Roads, fleet: Fleet, board: Board, time: float) -> None:
 
 
 @kernel
-def _light_allows(roads: Roads, board: Board, car: Record, lane: int, line: float) -> bool:
-    signal = roads.lanes[lane].signal
-    if signal < 0:
+def _light_allows(roads: Roads, board: Board, car: Record, lane: int, line: float, clears: bool) -> bool:
+    """Whether the light at the end of a lane lets a vehicle on, `line` metres before it.
+
+    Args:
+        clears: who has waited at the line to turn across the others may do so when amber has stopped them.
+    """
+    before = roads.lanes[lane]
+    if before.signal < 0:
         return True
-    state = board.lights[signal]
+    state = board.lights[before.signal]
     if state == _RED:
         return line < 0.0
-    return state != _AMBER or car.speed**2 > 2.0 * STOPPABLE * max(line - 0.5, 0.01)
+    if state != _AMBER or car.speed**2 > 2.0 * STOPPABLE * max(line - 0.5, 0.01):
+        return True
+    return clears and car.wait > 3.0 and line - (before.length - before.stop) < 3.0
 
 
 @kernel
@@ -190,7 +198,8 @@ def _judge(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, last: in
     for k in range(last + 1):
         lane = roads.lanes[path[k]]
         if k >= gate and lane.gate:
-            if not _light_allows(roads, board, car, path[k - 1], line):
+            clears = i < len(fleet.cars) - 1 and lane.rank > 0
+            if not _light_allows(roads, board, car, path[k - 1], line, clears):
                 return BARRED
             clash = clash or conflicts(roads, board, car, i, path[k], start, not between)
         start += lane.length
