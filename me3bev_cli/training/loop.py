@@ -25,7 +25,7 @@ from me3bev_cli.training.checkpoint import (
     prune,
     save_checkpoint,
 )
-from me3bev_cli.training.curve import draw_curve
+from me3bev_cli.training.curve import draw_curve, read_metrics
 from me3bev_cli.training.environments import make_environments
 from me3bev_cli.training.monitor import InterruptedTrainingError, Monitor, Stop
 from me3bev_cli.training.rollout import SequenceRolloutBuffer
@@ -62,6 +62,12 @@ class Trainer:
             load_weights(self.network, found[-1])
             self.progress = load_progress(found[-1])
             self._trainer_state = load_trainer(found[-1])
+        self._forget_later_rows()
+
+    def _forget_later_rows(self) -> None:
+        """Drop what the log holds beyond the checkpoint: those updates were lost and are made again."""
+        rows = [row for row in read_metrics(self.run) if row["steps"] <= self.progress.total_steps]
+        atomic_write_text(self.run / "metrics.jsonl", "".join(json.dumps(row) + "\n" for row in rows))
 
     def train(self) -> Path:
         """Train until every stage is done; returns the last checkpoint.

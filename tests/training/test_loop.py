@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,22 @@ def test_a_stop_saves_and_the_run_goes_on(line_recipe: Path, tmp_path: Path) -> 
     assert second.progress.total_steps == 100
     second.train()
     assert load_progress(find_checkpoint(run)).total_steps >= 192
+
+
+def test_updates_after_the_checkpoint_are_made_again(line_recipe: Path, tmp_path: Path) -> None:
+    """As after kill -9: the log is ahead of the newest checkpoint, its last line cut short."""
+    run = tmp_path / "run"
+    trainer(line_recipe, run, "stages.0.checkpoint_every=64").train()
+    for folder in checkpoints(run)[1:]:
+        shutil.rmtree(folder)
+    with open(run / "metrics.jsonl", "a") as file:
+        file.write('{"stage": 0, "ste')
+    again = trainer(line_recipe, run)
+    again.resume()
+    kept = [row["steps"] for row in read_metrics(run)]
+    assert kept == [step for step in range(32, 193, 32) if step <= again.progress.total_steps]
+    again.train()
+    assert [row["steps"] for row in read_metrics(run)] == list(range(32, 193, 32))
 
 
 def test_a_finished_run_has_nothing_left_to_do(line_recipe: Path, tmp_path: Path) -> None:
