@@ -185,11 +185,11 @@ def _pack(lanes: Records, town: Town, crossings: Records, met: list[NDArray]) ->
 
 
 def _signals(town: Town, lanes: Records, lane: int, s: float) -> set[int]:
-    """Signals that hold back who would come over a crossing at arc length `s` of a lane from its stop line."""
+    """Signals that hold back who would come straight over a crossing at arc length `s` of a lane."""
     record = lanes[lane]
     if record["junction"] < 0:
         near = record["signal"] >= 0 and s > record["length"] - 12.0
         return {int(record["signal"])} if near else set()
-    if s > 8.0:
-        return set()
+    if s > 8.0 and record["turn"] != 0:
+        return set()  # Who turns into a road lets those pass who cross it.
     return {int(lanes["signal"][p]) for p in town.lanes[lane].predecessors if lanes["signal"][p] >= 0}
