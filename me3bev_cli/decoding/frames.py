@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from me3bev_cli.errors import LogError
 from me3bev_cli.pipeline.assemble import configured
 from me3bev_cli.pipeline.control import to_tensors
 from me3bev_cli.pipeline.network import Network
@@ -53,12 +54,28 @@ def live_episodes(recipe: Recipe, maps: list[str], density: str, episodes: int, 
         yield frames(index)
 
 
-def logged_episodes(files: Iterable[Path]) -> Iterator[Iterator[Frame]]:
-    """Recorded episodes, each an iterator of frames."""
+def logged_episodes(recipe: Recipe, files: Iterable[Path]) -> Iterator[Iterator[Frame]]:
+    """Recorded episodes, each an iterator of frames.
+
+    Raises:
+        LogError: a log holds other cameras or another image size than the policy sees.
+    """
     from me3bev_cli.recording.reader import read_steps
 
+    wanted = (len(recipe.observation.cameras), 3, recipe.observation.height, recipe.observation.width)
+
+    def frames(path: Path) -> Iterator[Frame]:
+        for step in read_steps(path):
+            found = step.observation["images"].shape
+            if found != wanted:
+                raise LogError(
+                    f"{path} holds images {found}, the policy '{recipe.name}' sees {wanted}",
+                    hint=f"Record with its recipe: `me3bev collect --recipe {recipe.name}`",
+                )
+            yield step.observation, step.bev
+
     for path in files:
-        yield ((step.observation, step.bev) for step in read_steps(path))
+        yield frames(path)
 
 
 @torch.inference_mode()

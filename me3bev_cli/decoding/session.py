@@ -83,7 +83,7 @@ def _frames(controller: Controller, plan: Plan, say: Callable[[str], None]) -> t
 
     def run(which: str, wanted: list[int]) -> Pairs:
         if files:
-            episodes = logged_episodes(files[index] for index in wanted)
+            episodes = logged_episodes(controller.recipe, (files[index] for index in wanted))
         else:
             seed = plan.seed + (which == "scoring")
             episodes = live_episodes(controller.recipe, plan.maps, plan.density, len(wanted), seed)

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from me3bev_cli.pipeline.tree import fold, join_batch, map_tree, split_batch, unfold
+from me3bev_cli.pipeline.tree import fold, join_batch, split_batch, unfold
 
 Embeddings = dict[str, Tensor]
 
@@ -125,8 +125,3 @@ class WindowMemory(nn.Module):
 
 
 Memory = NoMemory | StreamMemory | WindowMemory
-
-
-def detach(state: Any) -> Any:
-    """The same state without its history of operations."""
-    return map_tree(lambda leaf: leaf.detach(), state)

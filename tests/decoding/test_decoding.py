@@ -16,9 +16,13 @@ from me3bev_cli.decoding.panel import panel
 from me3bev_cli.decoding.scores import confusion, iou, most_frequent, score_rows
 from me3bev_cli.decoding.session import Plan, decode
 from me3bev_cli.decoding.training import class_weights, decode_all, train_decoder
-from me3bev_cli.errors import UserError
+from me3bev_cli.errors import LogError, UserError
+from me3bev_cli.evaluation.drivers import DriverSpec
+from me3bev_cli.evaluation.runner import World
 from me3bev_cli.pipeline.control import Controller
+from me3bev_cli.recipe import PluginChoice
 from me3bev_cli.recipe_loading import resolve_recipe
+from me3bev_cli.recording.collect import Recorder, Take, collect
 
 
 def test_iou_by_hand() -> None:
@@ -93,6 +97,23 @@ def test_a_session_scores_and_draws(line_recipe: Path, tmp_path: Path) -> None:
     flat = Controller.untrained(resolve_recipe(line_recipe, ["modalities=[vr, nav]"]))
     with pytest.raises(UserError, match="no spatial encoder"):
         decode(flat, plan, tmp_path / "out", lambda text: None)
+
+
+def test_logs_are_decoded_if_they_hold_what_the_policy_sees(line_recipe: Path, tmp_path: Path) -> None:
+    controller = Controller.untrained(resolve_recipe(line_recipe))
+    observation = controller.recipe.observation
+    takes = [Take("F1", "low", number) for number in range(2)]
+    for folder, seen in (("fit", observation), ("other", observation.model_copy(update={"width": 64}))):
+        world = World(PluginChoice(name="line"), seen)
+        collect(Recorder(world, DriverSpec("autopilot", "autopilot"), 0, tmp_path / folder, 90), takes, workers=0)
+
+    def run(folder: str) -> dict[str, object]:
+        plan = Plan(["F1"], "low", episodes=0, steps=2, batch=2, seed=0, logs=tmp_path / folder)
+        return decode(controller, plan, tmp_path / "out", lambda text: None)
+
+    assert run("fit")["frames"] == 3
+    with pytest.raises(LogError, match=r"holds images \(2, 3, 16, 64\), the policy 'line' sees \(2, 3, 16, 32\)"):
+        run("other")
 
 
 def test_a_panel_holds_cameras_and_maps() -> None:
