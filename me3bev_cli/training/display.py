@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from typing import Any, TextIO
 
 
@@ -38,11 +39,12 @@ class Display:
         self.shown = 0.0
         self.last: dict[str, Any] = {}
 
-    def step(self, row: dict[str, Any]) -> None:
-        """Refresh the live line, at most twice a second."""
+    def step(self, line: Callable[[], dict[str, Any]]) -> None:
+        """Refresh the live line, at most twice a second; `line` is asked for only then."""
         now = time.monotonic()
         if self.live and now - self.shown > self.LIVE_EVERY:
             self.shown = now
+            row = line()
             kept = {key: self.last.get(key) for key in ("kl", "reward_per_step")}
             merged = row | {key: value for key, value in kept.items() if row.get(key) is None}
             self.stream.write("\r\x1b[2K" + self._text(merged)[:150])

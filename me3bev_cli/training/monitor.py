@@ -85,7 +85,7 @@ class Monitor(BaseCallback):
             if done:
                 self.episodes.append(_episode(info))
                 progress.episodes += 1
-        self.trainer.display.step(self._line())
+        self.trainer.display.step(self._line)
         return not self.trainer.stop.asked
 
     def _on_rollout_start(self) -> None:

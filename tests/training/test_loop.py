@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,9 +77,9 @@ def test_a_stop_saves_and_the_run_goes_on(line_recipe: Path, tmp_path: Path) -> 
     first = trainer(line_recipe, run)
     step = first.display.step
 
-    def ask_at_100(row: dict[str, object]) -> None:
-        step(row)
-        first.stop.asked = row["steps"] >= 100  # type: ignore[operator]
+    def ask_at_100(line: Callable[[], dict[str, Any]]) -> None:
+        step(line)
+        first.stop.asked = line()["steps"] >= 100
 
     first.display.step = ask_at_100  # type: ignore[method-assign]
     with pytest.raises(InterruptedTrainingError):
