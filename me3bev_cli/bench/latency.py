@@ -76,11 +76,7 @@ class Bench:
         images = network.sensor.images(frames) if network.spatial is not None else None
         vectors = network.sensor.vectors(frames)
         marks.append(self._mark())
-        embeddings = {}
-        if network.spatial is not None:
-            embeddings["bev"] = network.spatial(images).tokens
-        for name, encoder in network.encoders.items():
-            embeddings[name] = encoder(vectors[name])[:, None]
+        embeddings = network.embed(images, vectors)
         marks.append(self._mark())
         latents, self.state = network.memory.step(embeddings, self.state, self.starts)
         self.starts = self.clear

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from me3bev_cli.api import SpatialOutput, TokenSpec
+from me3bev_cli.api import TokenSpec
 from me3bev_cli.pipeline.heads import Actions, Actor, Critic
 from me3bev_cli.pipeline.memory import Embeddings, Memory
 from me3bev_cli.pipeline.sensor import Sensor
@@ -81,18 +81,16 @@ class Network(nn.Module):
             shapes[name] = (1, [m.out_features for m in encoder.modules() if isinstance(m, nn.Linear)][-1])
         return shapes
 
-    def perceive(self, observation: Mapping[str, Tensor]) -> SpatialOutput:
-        """The spatial plugin's whole output for N frames: tokens, grid, depth."""
-        if self.spatial is None:
-            raise RuntimeError("this policy has no spatial encoder")
-        return self.spatial(self.sensor.images(observation))
-
     def encode(self, observation: Mapping[str, Tensor]) -> Embeddings:
         """Frames (N, ...) -> embeddings h of each modality (N, K, D) (eqs. 2-4)."""
+        images = self.sensor.images(observation) if self.spatial is not None else None
+        return self.embed(images, self.sensor.vectors(observation))
+
+    def embed(self, images: Tensor | None, vectors: Mapping[str, Tensor]) -> Embeddings:
+        """As `encode`, from what the sensor gives: images are needed where there is a spatial encoder."""
         embeddings = {}
         if self.spatial is not None:
-            embeddings["bev"] = self.perceive(observation).tokens
-        vectors = self.sensor.vectors(observation)
+            embeddings["bev"] = self.spatial(images).tokens
         for name, encoder in self.encoders.items():
             embeddings[name] = encoder(vectors[name])[:, None]
         return embeddings
