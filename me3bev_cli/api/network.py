@@ -1,0 +1,99 @@
+"""The contracts of the three stages of the network: spatial, temporal, fusion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+
+from me3bev_cli.api.base import PluginConfig
+from me3bev_cli.api.camera import Rig
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class TokenSpec(NamedTuple):
+    """What a spatial plugin gives per frame: a grid of `rows` x `columns` tokens of `width` numbers."""
+
+    rows: int
+    columns: int
+    width: int
+
+    @property
+    def total(self) -> int:
+        """Number of tokens, K."""
+        return self.rows * self.columns
+
+
+class SpatialOutput(NamedTuple):
+    """What a spatial plugin returns."""
+
+    tokens: Tensor
+    """h_BEV, (N, K, D)."""
+    grid: Tensor | None = None
+    """The BEV feature map (N, channels, X, Y), row 0 farthest ahead, column 0 farthest left; None if there is none."""
+    depth_logits: Tensor | None = None
+    """(N, C, bins, h, w) before the softmax over bins; None if depth is not predicted."""
+
+
+class SpatialPlugin(Protocol):
+    """Images of one time step to h_BEV (eq. 4). Frames are independent: no state, no mixing over N."""
+
+    Config: ClassVar[type[PluginConfig]]
+
+    def __init__(self, config: Any, rig: Rig) -> None: ...
+
+    @classmethod
+    def output_spec(cls, config: Any, rig: Rig) -> TokenSpec:
+        """The token grid for this config and rig, without allocating. Raises ValueError if they do not fit."""
+        ...
+
+    def forward(self, images: Tensor) -> SpatialOutput:
+        """Images (N, C, 3, H, W), float, ImageNet-normalised."""
+        ...
+
+
+State = Any
+"""A plain tree (dict, tuple, list) of tensors, each with the batch as first axis."""
+
+
+class TemporalPlugin(Protocol):
+    """Memory over time (eqs. 5-7, 11-13).
+
+    Stepping one frame at a time with the carried state equals the whole sequence at once. Where
+    `starts[b, t]` is true the memory of b is cleared before frame t is read.
+    """
+
+    Config: ClassVar[type[PluginConfig]]
+
+    def __init__(self, config: Any, width: int) -> None: ...
+
+    @classmethod
+    def check(cls, config: Any, width: int) -> None:
+        """Raises ValueError if the config does not fit vectors of `width` numbers."""
+        ...
+
+    def initial_state(self, batch: int) -> State:
+        """The empty memory for `batch` sequences, on the module's device and in its dtype."""
+        ...
+
+    def forward(self, x: Tensor, state: State, starts: Tensor) -> tuple[Tensor, State]:
+        """`x` (B, T, D), `starts` (B, T) bool -> `y` (B, T, D) and the state after the last frame."""
+        ...
+
+
+class FusionPlugin(Protocol):
+    """One vector per modality to one vector (eq. 8). Modalities come in a fixed order: bev, vr, nav."""
+
+    Config: ClassVar[type[PluginConfig]]
+
+    def __init__(self, config: Any, widths: Mapping[str, int]) -> None: ...
+
+    @classmethod
+    def output_width(cls, config: Any, widths: Mapping[str, int]) -> int:
+        """Width of the result, without allocating. Raises ValueError if the widths do not fit."""
+        ...
+
+    def forward(self, features: Mapping[str, Tensor]) -> Tensor:
+        """Each (B, D_m) -> (B, D)."""
+        ...
