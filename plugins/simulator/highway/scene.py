@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.town import Town
+from me3bev_plugins.simulator.highway.weather import CLEAR_NOON, Weather
 
 
 class Kind(IntEnum):
@@ -80,3 +81,4 @@ class Scene:
     actors: Actors
     lights: NDArray[np.int32]
     """(S,) `Light` of each of the town's signals."""
+    weather: Weather = CLEAR_NOON
