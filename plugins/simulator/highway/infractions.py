@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.lane_grid import Place
 from me3bev_plugins.simulator.highway.scene import Ego, Light
 from me3bev_plugins.simulator.highway.town import Floats, Town
@@ -19,6 +21,7 @@ STANDING = 0.5
 """Slower than this is a stop, m/s."""
 LEVEL = 2.5
 """Lines farther away in height are not crossed, metres."""
+RED = int(Light.RED)
 
 
 class Infractions(NamedTuple):
@@ -26,6 +29,41 @@ class Infractions(NamedTuple):
 
     red_light: bool
     stop_sign: bool
+
+
+@kernel
+def _pass_lines(
+    pose: tuple[float, float, float, float],
+    lines: NDArray[Any],
+    signal: NDArray[Any],
+    lights: NDArray[Any],
+    before: NDArray[Any],
+    stopped: NDArray[Any],
+) -> tuple[bool, bool]:
+    """Move the ego's front (x, y, z, and its speed) on: whether it ran a red light, whether a stop sign.
+
+    `lines` (Q, 6) holds each line's x, y, z, the cosine and sine of its lane's heading and half the lane's width.
+    `before` (Q,), metres beyond each line (negative: before it), and `stopped` (Q,) are brought up to date.
+    """
+    x, y, z, speed = pose
+    ran_red = ran_stop = False
+    for i in range(len(lines)):
+        dx, dy, cos, sin = x - lines[i, 0], y - lines[i, 1], lines[i, 3], lines[i, 4]
+        beyond = dx * cos + dy * sin
+        crossed = False
+        if abs(dy * cos - dx * sin) <= lines[i, 5] and abs(lines[i, 2] - z) <= LEVEL:
+            # A step covers a few metres at most: a larger one comes from a line whose sides are far apart.
+            crossed = before[i] < 0.0 <= beyond and beyond - before[i] < 10.0
+            if -BEFORE_LINE <= beyond < 0.0 and speed < STANDING:
+                stopped[i] = True
+        if crossed and signal[i] >= 0:
+            ran_red |= lights[signal[i]] == RED
+        elif crossed:
+            ran_stop |= not stopped[i]
+        if crossed or beyond >= BEFORE_LINE:
+            stopped[i] = False
+        before[i] = beyond
+    return ran_red, ran_stop
 
 
 class StopLines:
@@ -36,40 +74,28 @@ class StopLines:
         sign_lanes = [(sign.lane, -1) for sign in town.signs if sign.kind == "stop"]
         rows = signal_lanes + sign_lanes
         lanes = [town.lanes[lane] for lane, _ in rows]
-        self._signal = np.array([signal for _, signal in rows], np.int64)
-        self._ends: Floats = np.array([lane.points[-1] for lane in lanes], np.float64).reshape(-1, 3)
         heading = np.array([lane.heading[-1] for lane in lanes], np.float64)
-        self._cos, self._sin = np.cos(heading), np.sin(heading)
-        self._half_width = np.array([lane.width for lane in lanes], np.float64) / 2
+        ends = np.array([lane.points[-1] for lane in lanes], np.float64).reshape(-1, 3)
+        half_width = np.array([lane.width for lane in lanes], np.float64) / 2
+        self._lines: Floats = np.column_stack([ends, np.cos(heading), np.sin(heading), half_width])
+        self._signal = np.array([signal for _, signal in rows], np.int64)
         self._stopped = np.zeros(len(rows), bool)
         self._before = np.zeros(len(rows))
 
     def reset(self, ego: Ego) -> None:
         """Start watching at the ego's pose."""
+        self._before[:] = np.inf  # Nothing is crossed on the way here.
+        self._move(ego, np.zeros(self._signal.max(initial=-1) + 1, np.int32))
         self._stopped[:] = False
-        self._before, _ = self._local(ego)
-
-    def _local(self, ego: Ego) -> tuple[Floats, NDArray[np.bool_]]:
-        """Metres of the ego's front beyond each line (negative: before it), and whether it is in that lane."""
-        x = ego.x + ego.length / 2 * np.cos(ego.heading) - self._ends[:, 0]
-        y = ego.y + ego.length / 2 * np.sin(ego.heading) - self._ends[:, 1]
-        beside = np.abs(y * self._cos - x * self._sin) <= self._half_width
-        return x * self._cos + y * self._sin, beside & (np.abs(self._ends[:, 2] - ego.z) <= LEVEL)
 
     def update(self, ego: Ego, lights: NDArray[np.int32]) -> Infractions:
         """Judge one step that ended at the ego's pose with the given lights (S,)."""
-        beyond, in_lane = self._local(ego)
-        # A step covers a few metres at most: a larger one comes from a line whose sides are far apart.
-        crossed = in_lane & (self._before < 0) & (beyond >= 0) & (beyond - self._before < 10)
-        near = in_lane & (beyond < 0) & (beyond >= -BEFORE_LINE)
-        self._stopped |= near & (ego.speed < STANDING)
-        lit = self._signal >= 0
-        red = crossed & lit
-        red[lit] &= lights[self._signal[lit]] == Light.RED
-        ran_stop = crossed & ~lit & ~self._stopped
-        self._stopped &= ~crossed & (beyond < BEFORE_LINE)
-        self._before = beyond
-        return Infractions(bool(red.any()), bool(ran_stop.any()))
+        return self._move(ego, lights)
+
+    def _move(self, ego: Ego, lights: NDArray[np.int32]) -> Infractions:
+        half = ego.length / 2
+        front = (ego.x + half * math.cos(ego.heading), ego.y + half * math.sin(ego.heading), ego.z, ego.speed)
+        return Infractions(*_pass_lines(front, self._lines, self._signal, lights, self._before, self._stopped))
 
 
 def inside_polygon(polygon: Floats, x: float, y: float) -> bool:
