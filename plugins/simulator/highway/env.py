@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from me3bev_cli.api import ObservationConfig, StepRecord
 from me3bev_cli.errors import UserError
+from me3bev_cli.seeding import derive_seed
 from me3bev_plugins.simulator.highway import driver, options
 from me3bev_plugins.simulator.highway.bev import bev_semantics
 from me3bev_plugins.simulator.highway.cameras import Cameras
@@ -42,11 +43,13 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
     Observation: a dict of `images` (C, 3, H, W) uint8 (absent when `images` is false), `road` (9,), `vehicle`
     (4,), `navigation` (5,) float32. Action: (steering, longitudinal) in [-1, 1], left positive. 10 Hz. An
     episode terminates at a collision or at the end of the route, and is truncated after `horizon` steps.
-    `info["record"]` is a `StepRecord`.
+    `info["record"]` is a `StepRecord`, `info["weather"]` the name of the episode's weather.
 
     Args:
         map: name of a built-in town, or a `Town`.
         density: low (50 vehicles and 50 pedestrians) or high (100 and 100).
+        weather: a name, or several of which each episode draws one by its seed; None is clear noon. Routes and
+            traffic do not depend on it.
         observation: cameras, image size and navigation features; a dict of its fields will do.
         images: False for drivers that do not look: no camera is drawn.
         collision_penalty: k_c of the reward.
@@ -68,6 +71,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         *,
         map: str | Town = "T3",
         density: str = "low",
+        weather: str | Sequence[str] | None = None,
         observation: ObservationConfig | Mapping[str, Any] | None = None,
         images: bool = True,
         collision_penalty: float = 1000.0,
@@ -91,6 +95,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         self.rig = surround_rig(self.observation)
         self.images = bool(images)
         self.population = options.population(density, self.settings)
+        self.weathers = options.weather_set(weather)
         self.town = map if isinstance(map, Town) else load_town(map)
         self._network = road_network(self.town)
         self._traffic = Traffic(self.town)
@@ -140,6 +145,8 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
 
     def _reset(self) -> None:
         route_seed, traffic_seed = (int(n) for n in self.np_random.integers(2**62, size=2))
+        # From a stream of its own: the same seed has the same route and traffic in any weather.
+        self.weather = self.weathers[derive_seed("weather", route_seed) % len(self.weathers)]
         route = random_route(self.town, np.random.default_rng(route_seed))
         self._tracker = RouteTracker(route, self.observation.waypoint_spacing)
         self.road = TownRoad(self._network, self.np_random)
@@ -194,12 +201,12 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         return self.steps >= self.settings.horizon and not self._is_terminated()
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
-        return {"record": self._record}
+        return {"record": self._record, "weather": self.weather.name}
 
     @property
     def scene(self) -> Scene:
         """The world at this instant. The actors are moved in place: copy what is to be kept."""
-        return Scene(self.town, self.vehicle.pose, self._traffic.actors, self._traffic.lights)
+        return Scene(self.town, self.vehicle.pose, self._traffic.actors, self._traffic.lights, self.weather)
 
     @property
     def route(self) -> Route:

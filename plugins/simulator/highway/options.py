@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -10,10 +10,11 @@ from pydantic import BaseModel, ValidationError
 from me3bev_cli.api import ObservationConfig
 from me3bev_cli.errors import MapError, UserError, did_you_mean, unknown_name
 from me3bev_plugins.simulator.highway.simulator import DENSITIES, HighwayConfig
+from me3bev_plugins.simulator.highway.weather import WEATHERS, Weather, weather_named
 
 Model = TypeVar("Model", bound=BaseModel)
 
-ARGUMENTS = ("map", "density", "observation", "images", "render_mode", *HighwayConfig.model_fields)
+ARGUMENTS = ("map", "density", "weather", "observation", "images", "render_mode", *HighwayConfig.model_fields)
 """Keyword arguments of the environment."""
 
 
@@ -64,6 +65,18 @@ def population(density: str, config: HighwayConfig) -> tuple[int, int]:
         vehicles if config.vehicles is None else config.vehicles,
         pedestrians if config.pedestrians is None else config.pedestrians,
     )
+
+
+def weather_set(value: str | Sequence[str] | None) -> tuple[Weather, ...]:
+    """The kinds of weather that episodes draw from; None is the default one alone.
+
+    Raises:
+        UserError: for a weather that does not exist, or none at all.
+    """
+    names = WEATHERS[:1] if value is None else (value,) if isinstance(value, str) else value
+    if not isinstance(names, Sequence) or not names:
+        raise UserError(f"weather is {value!r}", allowed=f"one or several of {', '.join(WEATHERS)}, or None")
+    return tuple(weather_named(str(name)) for name in names)
 
 
 def refuse_unknown(arguments: Mapping[str, Any]) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from me3bev_cli.api import ObservationConfig, PluginConfig, Rig
 from me3bev_plugins.simulator.highway.rig import surround_rig
+from me3bev_plugins.simulator.highway.weather import WEATHERS
 
 if TYPE_CHECKING:
     from me3bev_plugins.simulator.highway.env import TownEnv
@@ -43,16 +45,36 @@ class Highway:
         """Names of the traffic densities."""
         return tuple(DENSITIES)
 
+    def weathers(self) -> tuple[str, ...]:
+        """Names of the kinds of weather and light, the default one first."""
+        return WEATHERS
+
     def rig(self, observation: ObservationConfig) -> Rig:
         """Calibration of the chosen cameras. Raises UserError for a camera that the rig does not have."""
         return surround_rig(observation)
 
-    def make_env(self, observation: ObservationConfig, *, map: str, density: str, images: bool = True) -> TownEnv:
-        """A driving environment on one map.
+    def make_env(
+        self,
+        observation: ObservationConfig,
+        *,
+        map: str,
+        density: str,
+        weather: Sequence[str] | None = None,
+        images: bool = True,
+    ) -> TownEnv:
+        """A driving environment on one map; each episode draws one of `weather` by its seed.
 
         Raises:
             MapError: for a map or a density that does not exist.
+            UserError: for a weather that does not exist.
         """
         from me3bev_plugins.simulator.highway.env import TownEnv
 
-        return TownEnv(map=map, density=density, observation=observation, images=images, **self.config.model_dump())
+        return TownEnv(
+            map=map,
+            density=density,
+            weather=weather,
+            observation=observation,
+            images=images,
+            **self.config.model_dump(),
+        )
