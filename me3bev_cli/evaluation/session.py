@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from me3bev_cli import __version__
-from me3bev_cli.api import ObservationConfig
-from me3bev_cli.errors import RunError, UserError
+from me3bev_cli.evaluation.choice import choose_driver, world_of
 from me3bev_cli.evaluation.drivers import DriverSpec
 from me3bev_cli.evaluation.episode import Episode
 from me3bev_cli.evaluation.maps import parse_densities, parse_maps, shorten
@@ -22,12 +21,8 @@ from me3bev_cli.evaluation.summary import Row, summarise
 from me3bev_cli.evaluation.tables import csv_text
 from me3bev_cli.files import atomic_write_bytes, atomic_write_text
 from me3bev_cli.output import write_json
-from me3bev_cli.recipe import PluginChoice, Recipe
-from me3bev_cli.recipe_loading import resolve_recipe
-from me3bev_cli.training.run import newest_run, open_run, runs_root, versions
-
-SIMULATOR = "highway"
-"""What reference drivers drive in when no recipe says otherwise."""
+from me3bev_cli.recipe import Recipe
+from me3bev_cli.training.run import runs_root, versions
 
 
 @dataclass(frozen=True)
@@ -87,10 +82,8 @@ def prepare(
     Raises:
         UserError: any of them is wrong, or there is neither a run nor a driver.
     """
-    spec, loaded = _who(run, checkpoint, driver, recipe, device)
-    # The recipe's map and density say where it trained; the rest of the block is the world.
-    choice = PluginChoice(name=loaded.simulator.name, **loaded.simulator.settings) if loaded else _default_choice()
-    world = World(choice, loaded.observation if loaded else ObservationConfig())
+    spec, loaded = choose_driver(run, checkpoint, driver, recipe, device)
+    world = world_of(loaded)
     simulator = world.open()
     known_maps, known_densities = simulator.maps(), simulator.densities()
     chosen_maps = parse_maps(maps, known_maps) if maps is not None else list(known_maps)
@@ -109,59 +102,6 @@ def _folder(spec: DriverSpec, recipe: Recipe | None, checkpoint: str) -> Path:
     # A reference driver's figures depend on the recipe's world.
     label = spec.label if recipe is None or recipe is spec.recipe else f"{spec.label}-{recipe.name}"
     return runs_root() / "eval" / label
-
-
-def _default_choice() -> PluginChoice:
-    return PluginChoice(name=SIMULATOR)
-
-
-def _who(
-    run: Path | None, checkpoint: str, driver: str | None, recipe: str | None, device: str
-) -> tuple[DriverSpec, Recipe | None]:
-    """The driver, and the recipe whose world it drives in."""
-    if recipe is not None and (run is not None or driver is None):
-        hint = "Give --driver too" if run is None else "A run drives in the world of its own recipe"
-        raise UserError("a recipe alone is not a driver", where="--recipe", hint=hint)
-    if driver is None:
-        return _policy(run, checkpoint, device)
-    loaded: Recipe | None = None
-    if run is not None:
-        loaded = resolve_recipe(_policy_folder(run) / "recipe.yaml")
-    elif recipe is not None:
-        loaded = resolve_recipe(recipe)
-    if driver == "untrained":
-        label = f"untrained-{loaded.name}" if loaded else driver
-        return DriverSpec(driver, label, recipe=loaded, device=device), loaded
-    return DriverSpec(driver, driver), loaded
-
-
-def _policy(run: Path | None, checkpoint: str, device: str) -> tuple[DriverSpec, Recipe]:
-    """A run's policy. Which checkpoint it is, is settled here: a training that goes on may make newer ones."""
-    from me3bev_cli.training.checkpoint import find_checkpoint
-
-    folder = _policy_folder(run)
-    name = find_checkpoint(folder, checkpoint).name
-    recipe = resolve_recipe(folder / "recipe.yaml")
-    return DriverSpec("policy", folder.resolve().name, folder, name, recipe, device), recipe
-
-
-def _policy_folder(run: Path | None) -> Path:
-    """The run or checkpoint folder that is named, or the newest run.
-
-    Raises:
-        RunError: there is none.
-    """
-    if run is not None:
-        # A checkpoint folder can stand alone: it holds its own recipe.
-        is_checkpoint = (run / "recipe.yaml").is_file() and (run / "policy.safetensors").is_file()
-        return run if is_checkpoint else open_run(run)
-    newest = newest_run()
-    if newest is None:
-        raise RunError(
-            f"there is no run under {runs_root()}",
-            hint="`me3bev train RECIPE` makes one; `--driver autopilot` needs none",
-        )
-    return newest
 
 
 @dataclass(eq=False)

@@ -1,0 +1,90 @@
+"""Who drives and in which world, from a command's options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from me3bev_cli.api import ObservationConfig
+from me3bev_cli.errors import RunError, UserError, unknown_name
+from me3bev_cli.evaluation.drivers import REFERENCES, DriverSpec
+from me3bev_cli.evaluation.runner import World
+from me3bev_cli.recipe import PluginChoice, Recipe
+from me3bev_cli.recipe_loading import resolve_recipe
+from me3bev_cli.training.run import newest_run, open_run, runs_root
+
+SIMULATOR = "highway"
+"""What reference drivers drive in when no recipe says otherwise."""
+
+
+def choose_driver(
+    run: Path | None, checkpoint: str, driver: str | None, recipe: str | None, device: str
+) -> tuple[DriverSpec, Recipe | None]:
+    """The driver, and the recipe whose world it drives in.
+
+    Raises:
+        UserError: the options do not go together, or what they name is missing.
+    """
+    if recipe is not None and (run is not None or driver is None):
+        hint = "Give --driver too" if run is None else "A run drives in the world of its own recipe"
+        raise UserError("a recipe alone is not a driver", where="--recipe", hint=hint)
+    if driver is None:
+        return _policy(run, checkpoint, device)
+    loaded: Recipe | None = None
+    if run is not None:
+        loaded = resolve_recipe(_policy_folder(run) / "recipe.yaml")
+    elif recipe is not None:
+        loaded = resolve_recipe(recipe)
+    if driver == "untrained":
+        label = f"untrained-{loaded.name}" if loaded else driver
+        return DriverSpec(driver, label, recipe=loaded, device=device), loaded
+    return DriverSpec(driver, driver), loaded
+
+
+def world_of(recipe: Recipe | None) -> World:
+    """The world of a recipe, or the default one. Its map and density say where it trained, and are left out."""
+    if recipe is None:
+        return World(PluginChoice(name=SIMULATOR), ObservationConfig())
+    return World(PluginChoice(name=recipe.simulator.name, **recipe.simulator.settings), recipe.observation)
+
+
+def reference_or_run(driver: str) -> tuple[str | None, Path | None]:
+    """What `--driver NAME|RUN` means: (a reference driver, None), or (None, the path of a run).
+
+    Raises:
+        UserError: it is neither the name of a driver nor a folder nor the name of a run.
+    """
+    if driver in REFERENCES:
+        return driver, None
+    for path in (Path(driver), runs_root() / driver):
+        if path.is_dir():
+            return None, path
+    raise unknown_name("driver or run", driver, REFERENCES, where="--driver")
+
+
+def _policy(run: Path | None, checkpoint: str, device: str) -> tuple[DriverSpec, Recipe]:
+    """A run's policy. Which checkpoint it is, is settled here: a training that goes on may make newer ones."""
+    from me3bev_cli.training.checkpoint import find_checkpoint
+
+    folder = _policy_folder(run)
+    name = find_checkpoint(folder, checkpoint).name
+    recipe = resolve_recipe(folder / "recipe.yaml")
+    return DriverSpec("policy", folder.resolve().name, folder, name, recipe, device), recipe
+
+
+def _policy_folder(run: Path | None) -> Path:
+    """The run or checkpoint folder that is named, or the newest run.
+
+    Raises:
+        RunError: there is none.
+    """
+    if run is not None:
+        # A checkpoint folder can stand alone: it holds its own recipe.
+        is_checkpoint = (run / "recipe.yaml").is_file() and (run / "policy.safetensors").is_file()
+        return run if is_checkpoint else open_run(run)
+    newest = newest_run()
+    if newest is None:
+        raise RunError(
+            f"there is no run under {runs_root()}",
+            hint="`me3bev train RECIPE` makes one; `--driver autopilot` needs none",
+        )
+    return newest
