@@ -7,11 +7,9 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from me3bev_cli.evaluation.metrics import METRICS, PAPER
 from me3bev_cli.evaluation.summary import Row
+from me3bev_cli.pictures import CAMERA_COLUMNS, colour_map, tile
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,21 +19,6 @@ if TYPE_CHECKING:
 SHOWN = (*PAPER, "route_completion")
 COLOURS = ("#2f6fb5", "#d9822b", "#4c9a5b", "#8c5fa8")
 """Of the bars, a colour per method and density."""
-BEV_COLOURS = np.array(
-    [
-        (58, 66, 56),
-        (96, 98, 104),
-        (232, 232, 226),
-        (240, 206, 120),
-        (150, 146, 138),
-        (122, 92, 82),
-        (70, 130, 220),
-        (226, 76, 70),
-    ],
-    np.uint8,
-)
-"""(8, 3) r, g, b of each of `api.BEV_CLASSES`."""
-CAMERA_COLUMNS = 3
 
 
 def picture_bytes(rows: Sequence[Row], title: str, snapshot: Snapshot | None) -> bytes:
@@ -59,8 +42,8 @@ def picture_bytes(rows: Sequence[Row], title: str, snapshot: Snapshot | None) ->
 
 
 def _scene(figure: Any, snapshot: Snapshot) -> None:
-    sheet = tile(snapshot.images, CAMERA_COLUMNS)
-    plan = BEV_COLOURS[np.minimum(snapshot.bev, len(BEV_COLOURS) - 1)]
+    sheet = tile(snapshot.images)
+    plan = colour_map(snapshot.bev)
     height = sheet.shape[0]
     left, right = figure.subplots(1, 2, width_ratios=(sheet.shape[1] / height, 1.0))
     left.imshow(sheet, aspect="auto" if sheet.shape[1] < 2 * height else "equal")
@@ -77,17 +60,6 @@ def _names(snapshot: Snapshot) -> str:
     names = [name.replace("_", " ") for name in snapshot.cameras]
     rows = [names[i : i + CAMERA_COLUMNS] for i in range(0, len(names), CAMERA_COLUMNS)]
     return " / ".join(", ".join(row) for row in rows)
-
-
-def tile(images: NDArray[np.uint8], columns: int) -> NDArray[np.uint8]:
-    """Images (C, 3, H, W) in rows of `columns`, black where none is left: (rows * H, columns * W, 3)."""
-    count, channels, height, width = images.shape
-    columns = min(columns, count)
-    rows = -(-count // columns)
-    sheet = np.zeros((rows * columns, channels, height, width), np.uint8)
-    sheet[:count] = images
-    grid = sheet.reshape(rows, columns, channels, height, width).transpose(0, 3, 1, 4, 2)
-    return np.ascontiguousarray(grid.reshape(rows * height, columns * width, channels))
 
 
 def _bars(figure: Any, rows: Sequence[Row]) -> None:
