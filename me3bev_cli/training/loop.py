@@ -27,13 +27,14 @@ from me3bev_cli.training.checkpoint import (
 )
 from me3bev_cli.training.curve import draw_curve, read_metrics
 from me3bev_cli.training.environments import make_environments
-from me3bev_cli.training.monitor import InterruptedTrainingError, Monitor, Stop
+from me3bev_cli.training.monitor import InterruptedTrainingError, Monitor
 from me3bev_cli.training.rollout import SequenceRolloutBuffer
 from me3bev_cli.training.run import versions
 from me3bev_cli.training.sequence_ppo import SequencePPO
 
 if TYPE_CHECKING:
     from me3bev_cli.recipe import PpoStage, Recipe
+    from me3bev_cli.stopping import Stop
     from me3bev_cli.training.display import Display
 
 KEEP = 5
@@ -95,7 +96,7 @@ class Trainer:
                 self._restore(model, self._trainer_state)
             model.num_timesteps = self.progress.stage_steps
             monitor = Monitor(self, model, stage)
-            model.policy.before_minibatch = self.stop.check
+            model.policy.before_minibatch = self._check_stop
             remaining = stage.steps - self.progress.stage_steps
             try:
                 if remaining > 0:
@@ -103,12 +104,14 @@ class Trainer:
             except InterruptedTrainingError:
                 self.save(model)
                 raise
-            if self.stop.asked:
-                self.save(model)
-                raise InterruptedTrainingError
             self.save(model)
+            self._check_stop()
         finally:
             env.close()
+
+    def _check_stop(self) -> None:
+        if self.stop.asked:
+            raise InterruptedTrainingError
 
     def _model(self, stage: PpoStage, env: Any) -> SequencePPO:
         model = SequencePPO(

@@ -6,8 +6,6 @@ import json
 import math
 import time
 from collections import deque
-from contextlib import contextmanager
-from signal import SIGINT, SIGTERM, signal
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +13,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from me3bev_cli.recipe import PpoStage
     from me3bev_cli.training.loop import Trainer
     from me3bev_cli.training.sequence_ppo import SequencePPO
@@ -34,33 +30,6 @@ LOSSES = {
 
 class InterruptedTrainingError(Exception):
     """Training was asked to stop; its checkpoint has been written."""
-
-
-class Stop:
-    """Turns Ctrl-C and SIGTERM into a request that is honoured between two environment steps or minibatches."""
-
-    def __init__(self) -> None:
-        self.asked = False
-
-    def _ask(self, *_: Any) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
-
-    @contextmanager
-    def listening(self) -> Iterator[None]:
-        """Honour signals inside the block; a second Ctrl-C stops at once."""
-        before = {number: signal(number, self._ask) for number in (SIGINT, SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal(number, handler)
-
-    def check(self) -> None:
-        """Raises InterruptedTrainingError if a stop was asked for."""
-        if self.asked:
-            raise InterruptedTrainingError
 
 
 class Monitor(BaseCallback):

@@ -16,12 +16,13 @@ from typer.testing import CliRunner
 from me3bev_cli.errors import CheckpointError, RunError
 from me3bev_cli.pipeline.control import Controller
 from me3bev_cli.recipe_loading import dump, resolve_recipe
+from me3bev_cli.stopping import Stop
 from me3bev_cli.training.checkpoint import WEIGHTS, checkpoints, find_checkpoint, load_progress
 from me3bev_cli.training.curve import read_metrics
 from me3bev_cli.training.display import Display
 from me3bev_cli.training.environments import make_environments
 from me3bev_cli.training.loop import Trainer
-from me3bev_cli.training.monitor import InterruptedTrainingError, Stop
+from me3bev_cli.training.monitor import InterruptedTrainingError
 from me3bev_cli.training.run import choose_run, make_run, newest_run, open_run
 
 
