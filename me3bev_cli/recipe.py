@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
@@ -20,6 +20,19 @@ MODALITIES = ("bev", "vr", "nav")
 
 Modality = Literal["bev", "vr", "nav"]
 Width = Annotated[int, Field(gt=0, le=65536)]
+
+
+def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"names '{name}' twice")
+    return names
+
+
+Names = Annotated[
+    tuple[str, ...], Field(min_length=1, json_schema_extra={"uniqueItems": True}), AfterValidator(_each_once)
+]
+"""A set of names, written as a list."""
 
 
 class Block(BaseModel):
@@ -46,6 +59,13 @@ class SimulatorChoice(PluginChoice):
 
     map: str
     density: str
+
+
+class Weather(Block):
+    """Kinds of weather; each episode draws one of a set by its seed."""
+
+    training: Names | None = Field(default=None, description="in which training takes place; null: the default one")
+    evaluation: Names | None = Field(default=None, description="in which it is evaluated; null: the default one")
 
 
 class VectorEncoder(Block):
@@ -126,6 +146,7 @@ class PpoStage(Block):
     steps: int = Field(gt=0, description="environment steps")
     map: str | None = Field(default=None, description="instead of the simulator block's")
     density: str | None = Field(default=None, description="instead of the simulator block's")
+    weather: Names | None = Field(default=None, description="instead of the weather block's training set")
     simulator: dict[str, Any] = Field(default={}, description="the simulator's own keys that differ in this stage")
     envs: int = Field(default=4, ge=1, le=256, description="environments side by side")
     rollout: int = Field(default=256, ge=2, description="steps per environment between two updates")
@@ -168,6 +189,7 @@ class Recipe(Block):
 
     name: str = Field(min_length=1, pattern=r"^[\w.-]+$", description="names the run")
     simulator: SimulatorChoice
+    weather: Weather = Weather()
     observation: ObservationConfig = ObservationConfig()
     modalities: tuple[Modality, ...] = Field(default=("bev", "vr", "nav"), min_length=1)
     spatial: PluginChoice | None = Field(default=None, description="needed when modalities hold bev")
@@ -192,3 +214,7 @@ class Recipe(Block):
         """The simulator block as it stands in a stage."""
         place = {"map": stage.map or self.simulator.map, "density": stage.density or self.simulator.density}
         return SimulatorChoice.model_validate(self.simulator.model_dump() | stage.simulator | place)
+
+    def weather_in(self, stage: Stage) -> tuple[str, ...] | None:
+        """The kinds of weather that a stage's episodes draw from; None: the simulator's default one."""
+        return stage.weather or self.weather.training

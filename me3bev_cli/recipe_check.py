@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -13,6 +13,7 @@ from me3bev_cli.api import ObservationConfig, PluginConfig, Rig, TokenSpec
 from me3bev_cli.errors import PluginError, RecipeError, UserError, unknown_name
 from me3bev_cli.recipe import MODALITIES, Encoders, PluginChoice, Recipe, SimulatorChoice
 from me3bev_cli.recipe_faults import Fault, validate
+from me3bev_cli.recipe_yaml import Path
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
@@ -86,6 +87,8 @@ class Checker:
         self.data = data
         self.faults: list[Fault] = []
         self.chosen: dict[str, Chosen] = {}
+        self.default_weather: tuple[str, ...] | None = None
+        """What a set that the recipe leaves open stands for; None without a simulator."""
 
         self.modalities = _modalities(data.get("modalities"))
         self.encoders = _block(Encoders, data.get("encoders"))
@@ -104,13 +107,13 @@ class Checker:
             return None
         return Fit(simulator, rig, dict(self.chosen), tokens, widths, fused)
 
-    def _fault(self, path: tuple[str | int, ...], error: UserError | ValueError) -> None:
+    def _fault(self, path: Path, error: UserError | ValueError) -> None:
         if isinstance(error, UserError):
             self.faults.append(Fault(path, error.what, error.allowed, error.hint))
         else:
             self.faults.append(Fault(path, str(error)))
 
-    def _asked(self, path: tuple[str | int, ...], question: Callable[[], T]) -> T | None:
+    def _asked(self, path: Path, question: Callable[[], T]) -> T | None:
         """The plugin's answer; a refusal becomes a fault at `path`."""
         try:
             return question()
@@ -143,15 +146,29 @@ class Checker:
         stages = [(("stages", index), stage) for index, stage in self._stages()]
         for key, options in (("map", simulator.maps()), ("density", simulator.densities())):
             for path, block in [(("simulator",), self.data["simulator"]), *stages]:
-                word = block.get(key)
-                if isinstance(word, str) and word not in options:
-                    self._fault((*path, key), unknown_name(key, word, options))
+                self._known(key, (*path, key), block.get(key), options)
+        self._weather(simulator.weathers(), stages)
         for path, stage in stages:
             own = stage.get("simulator")
             if isinstance(own, Mapping):
                 changed = {**chosen.config.model_dump(mode="json"), **own}
                 self.faults.extend(validate(chosen.plugin.Config, changed, (*path, "simulator"), nulls=True)[1])
         return simulator
+
+    def _known(self, what: str, path: Path, word: Any, options: Collection[str]) -> None:
+        if isinstance(word, str) and word not in options:
+            self._fault(path, unknown_name(what, word, options))
+
+    def _weather(self, options: tuple[str, ...], stages: Sequence[tuple[Path, Mapping[str, Any]]]) -> None:
+        self.default_weather = options[:1]
+        block = self.data.get("weather")
+        sets: list[tuple[Path, Any]] = (
+            [(("weather", key), names) for key, names in block.items()] if isinstance(block, Mapping) else []
+        )
+        sets += [((*path, "weather"), stage.get("weather")) for path, stage in stages]
+        for path, names in sets:
+            for index, word in enumerate(names if isinstance(names, list) else ()):
+                self._known("weather", (*path, index), word, options)
 
     def _stages(self) -> list[tuple[int, Mapping[str, Any]]]:
         """The stages that are blocks at all, with their indices."""

@@ -119,6 +119,9 @@ def _merge(base: Node, over: Node, path: tuple[str, ...] = ()) -> Node:
     if not (isinstance(base.value, dict) and isinstance(over.value, dict)) or _another(base, over, path):
         return over
     merged = dict(base.value)
+    if not path and _another_simulator(base, over):
+        # Kinds of weather are a simulator's own, as maps are.
+        merged.pop("weather", None)
     for key, child in over.value.items():
         merged[key] = _merge(merged[key], child, (*path, key)) if key in merged else child
     return Node(merged, over.mark)
@@ -130,6 +133,12 @@ def _another(base: Node, over: Node, path: tuple[str, ...]) -> bool:
     if key not in over.value or key not in base.value:
         return False
     return bool(over.value[key].value != base.value[key].value)
+
+
+def _another_simulator(base: Node, over: Node) -> bool:
+    before, after = (tree.value.get("simulator", Node(None, tree.mark)) for tree in (base, over))
+    both = isinstance(before.value, dict) and isinstance(after.value, dict)
+    return both and _another(before, after, ("simulator",))
 
 
 def _overridden(tree: Node, overrides: Iterable[str], faults: list[UserError]) -> Node:
@@ -188,7 +197,8 @@ def _checked(tree: Node, before: list[UserError]) -> Recipe:
     if before or found:
         raise RecipeError([*before, *_in_order(found, tree)])
     filled = {kind: _filled(getattr(recipe, kind), chosen) for kind, chosen in checker.chosen.items()}
-    return recipe.model_copy(update=filled)
+    open_sets = {key: checker.default_weather for key, names in recipe.weather if names is None}
+    return recipe.model_copy(update={**filled, "weather": recipe.weather.model_copy(update=open_sets)})
 
 
 def _filled(choice: PluginChoice, chosen: Chosen) -> PluginChoice:

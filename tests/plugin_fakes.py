@@ -35,6 +35,9 @@ class World:
     def densities(self) -> tuple[str, ...]:
         return "low", "high"
 
+    def weathers(self) -> tuple[str, ...]:
+        return "clear", "night", "fog"
+
     def rig(self, observation: ObservationConfig) -> Rig:
         for name in observation.cameras:
             if name not in ("front", "back"):
@@ -42,6 +45,11 @@ class World:
         size = {"width": observation.width, "height": observation.height}
         optics = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "position": (0.0, 0.0, 1.0), "yaw": 0.0}
         return Rig(cameras=tuple(Camera(name=name, **size, **optics) for name in observation.cameras))
+
+
+class Desert(World):
+    def weathers(self) -> tuple[str, ...]:
+        return "sand", "heat"
 
 
 class Grid:
@@ -120,6 +128,7 @@ def module() -> ModuleType:
     for plugins in PLUGINS.values():
         for plugin in plugins.values():
             setattr(made, plugin.__name__, plugin)
+    made.Desert = Desert  # type: ignore[attr-defined]
     made.NoContract = NoContract  # type: ignore[attr-defined]
     made.Named = Named  # type: ignore[attr-defined]
     made.NOT_A_CLASS = 3  # type: ignore[attr-defined]

@@ -27,7 +27,8 @@ def bench_latency(
     from me3bev_cli.pipeline.assemble import pick_device
     from me3bev_cli.recipe_loading import resolve_recipe, shipped_recipes
 
-    names = recipes or [name for name in shipped_recipes() if name not in ("quickstart", "small")]
+    # me3bev_weather has the network of me3bev.
+    names = recipes or [name for name in shipped_recipes() if name not in ("me3bev_weather", "quickstart", "small")]
     loaded = [resolve_recipe(name) for name in names]
     if threads is not None:
         torch.set_num_threads(threads)

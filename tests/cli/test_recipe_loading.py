@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import plugin_fakes
 import pytest
 from plugin_fakes import RECIPE
 
@@ -105,7 +106,7 @@ def test_a_fault_in_what_is_extended_names_that_file(recipe: Write) -> None:
     recipe(RECIPE.replace("heads: 2", "heds: 2"), "base.yaml")
     assert faults(recipe("extends: base.yaml\nsede: 1\n", "child.yaml")) == [
         "base.yaml:10: temporal.heds: unknown key 'heds'; did you mean 'heads'? Allowed: heads, dropout",
-        "child.yaml:2: sede: unknown key 'sede'; did you mean 'seed'? Allowed: name, simulator, observation, "
+        "child.yaml:2: sede: unknown key 'sede'; did you mean 'seed'? Allowed: name, simulator, weather, observation, "
         "modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
     ]
 
@@ -146,7 +147,7 @@ def test_faulty_overrides_are_named_as_written(recipe: Write) -> None:
         "--set stages.1.steps=3: 'stages' is a list without '1'. Allowed: 0",
         "--set stages.first.steps=3: 'stages' is a list without 'first'. Allowed: 0",
         "--set a=[1: not YAML: expected ',' or ']', but got '<stream end>'",
-        "--set sed=1: sed: unknown key 'sed'; did you mean 'seed'? Allowed: name, simulator, observation, "
+        "--set sed=1: sed: unknown key 'sed'; did you mean 'seed'? Allowed: name, simulator, weather, observation, "
         "modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
         "--set stages.0.clip=x: stages.0.clip: expected a number, got 'x'",
     ]
@@ -158,6 +159,31 @@ def test_a_stage_changes_the_world(recipe: Write) -> None:
     first, second = (found.simulator_in(stage) for stage in found.stages)
     assert first == found.simulator
     assert (second.map, second.density, second.settings) == ("T1", "high", {"vehicles": 2, "horizon": 128})
+
+
+def test_open_sets_of_weather_are_the_simulators_default_one(recipe: Write) -> None:
+    found = resolve_recipe(recipe())
+    assert (found.weather.training, found.weather.evaluation) == (("clear",), ("clear",))
+    assert found.weather_in(found.stages[0]) == ("clear",)
+    some = resolve_recipe(recipe(), ["weather.evaluation=[night, fog]"])
+    assert (some.weather.training, some.weather.evaluation) == (("clear",), ("night", "fog"))
+
+
+def test_a_stage_may_have_weather_of_its_own(recipe: Write) -> None:
+    second = "  - {kind: ppo, steps: 1000, weather: [night]}\n"
+    found = resolve_recipe(recipe(RECIPE + second + "weather: {training: [fog, clear]}\n"))
+    assert [found.weather_in(stage) for stage in found.stages] == [("fog", "clear"), ("night",)]
+
+
+def test_another_simulator_drops_the_weather_of_the_one_before(install: Callable[..., None], recipe: Write) -> None:
+    install(*plugin_fakes.every(), plugin_fakes.entry("simulator", "desert", f"{plugin_fakes.MODULE}:Desert"))
+    recipe(RECIPE + "weather: {training: [night]}\n", "base.yaml")
+    text = "extends: base.yaml\nsimulator: {name: desert, map: T1, density: low}\n"
+    assert resolve_recipe(recipe(text, "child.yaml")).weather.training == ("sand",)
+    assert resolve_recipe(recipe(text + "weather: {training: [heat]}\n", "child.yaml")).weather.training == ("heat",)
+    assert resolve_recipe(recipe("extends: base.yaml\nsimulator: {map: T1}\n", "child.yaml")).weather.training == (
+        "night",
+    )
 
 
 def test_shipped_recipes_have_a_headline() -> None:

@@ -54,8 +54,8 @@ device: tpu
         "mine.yaml:6: encoders.vr.width: expected a whole number, got 'wide'",
         "mine.yaml:7: temporal: expected a block of keys, got 'attention'. Write {name: attention}",
         "mine.yaml:8: context.kind: 'windw' is not among the choices; did you mean 'window'? Allowed: window, stream",
-        "mine.yaml:9: polcy: unknown key 'polcy'; did you mean 'policy'? Allowed: name, simulator, observation, "
-        "modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
+        "mine.yaml:9: polcy: unknown key 'polcy'; did you mean 'policy'? Allowed: name, simulator, weather, "
+        "observation, modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
         "mine.yaml:11: stages.0.steps: expected a whole number, got 1.5",
         "mine.yaml:11: stages.0.clip: 1 is out of range. Allowed: < 1.0",
         f"mine.yaml:11: stages.0.gama: unknown key 'gama'; did you mean 'gamma'? Allowed: {stage_keys}",
@@ -82,6 +82,37 @@ def test_keys_of_a_nested_block_of_a_union(recipe: Write) -> None:
     [
         ("map: T3", "map: T33", "mine.yaml:1: simulator.map: unknown map 'T33'; did you mean 'T3'? Allowed: T1, T3"),
         ("density: low", "density: lo", "mine.yaml:1: simulator.density: unknown density 'lo'; did you mean 'low'?"),
+        (
+            "observation:",
+            "weather: {training: [clear, nigth]}\nobservation:",
+            "mine.yaml:2: weather.training.1: unknown weather 'nigth'; did you mean 'night'? Allowed: clear, fog",
+        ),
+        (
+            "observation:",
+            "weather:\n  evaluation: []\nobservation:",
+            "mine.yaml:3: weather.evaluation: needs at least 1, has 0",
+        ),
+        (
+            "observation:",
+            "weather: {evaluation: [fog, clear, fog]}\nobservation:",
+            "mine.yaml:2: weather.evaluation: names 'fog' twice",
+        ),
+        (
+            "observation:",
+            "weather: {evaluation: night}\nobservation:",
+            "mine.yaml:2: weather.evaluation: expected a list, got 'night'",
+        ),
+        (
+            "observation:",
+            "weather: {trainning: [fog]}\nobservation:",
+            "mine.yaml:2: weather.trainning: unknown key 'trainning'; did you mean 'training'? "
+            "Allowed: training, evaluation",
+        ),
+        (
+            "steps: 1000",
+            "steps: 1000\n    weather: [fog, claer]",
+            "mine.yaml:16: stages.0.weather.1: unknown weather 'claer'; did you mean 'clear'?",
+        ),
         ("[front, back]", "[front, side]", "mine.yaml:3: observation.cameras: there is no camera 'side'"),
         ("height: 32", "height: 40", "mine.yaml:6: spatial: image height 40 is not a multiple of 16"),
         ("heads: 2", "heads: 3", "mine.yaml:10: temporal: width 16 is not a multiple of heads 3 (vectors of bev)"),
