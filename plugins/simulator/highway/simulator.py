@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from me3bev_cli.api import ObservationConfig, PluginConfig, Rig
+from me3bev_plugins.simulator.highway.library import TownLibrary
 from me3bev_plugins.simulator.highway.rig import surround_rig
 from me3bev_plugins.simulator.highway.weather import WEATHERS
 
@@ -27,19 +28,13 @@ class HighwayConfig(PluginConfig):
     pedestrians: int | None = Field(default=None, ge=0, le=1000, description="pedestrians, instead of the density's")
 
 
-class Highway:
+class Highway(TownLibrary):
     """Towns on highway-env's roads and kinematics, with traffic in arrays and drawn cameras."""
 
     Config = HighwayConfig
 
     def __init__(self, config: HighwayConfig) -> None:
         self.config = config
-
-    def maps(self) -> tuple[str, ...]:
-        """The built-in towns."""
-        from me3bev_plugins.simulator.highway.maps import MAPS
-
-        return MAPS
 
     def densities(self) -> tuple[str, ...]:
         """Names of the traffic densities."""

@@ -17,23 +17,25 @@ from me3bev_plugins.simulator.highway.opendrive.roadside import find_roadsides
 from me3bev_plugins.simulator.highway.opendrive.scenery import grow_scenery
 from me3bev_plugins.simulator.highway.opendrive.shapes import section_shapes
 from me3bev_plugins.simulator.highway.opendrive.sidewalks import find_sidewalks
+from me3bev_plugins.simulator.highway.opendrive.source import read_file
 from me3bev_plugins.simulator.highway.opendrive.surfaces import find_surfaces
 from me3bev_plugins.simulator.highway.town import Floats, Junction, Lane, Town
 
-__all__ = ["read_town"]
+__all__ = ["read_file", "read_town"]
 
 
-def read_town(source: Path | bytes, name: str) -> Town:
+def read_town(source: Path | bytes, name: str, where: str | None = None) -> Town:
     """A town from an OpenDRIVE file, plain or gzipped.
 
     Args:
         source: path of the file, or its bytes.
         name: of the town; scenery grows from it, so the same name gives the same houses.
+        where: what errors call the file; by default its path, or the name when there is none.
 
     Raises:
         MapError: the file cannot be read, is damaged, or holds no closed course.
     """
-    document = read_document(source, name)
+    document = read_document(source, name, where)
     shapes = section_shapes(document)
     network = build_network(document, shapes)
     assign_limits(document, network)

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 from me3bev_cli.errors import MapError
 from me3bev_plugins.simulator.highway.opendrive.records import Connection, Document, JunctionRecord
 from me3bev_plugins.simulator.highway.opendrive.road_reader import RoadReader
+from me3bev_plugins.simulator.highway.opendrive.source import parse, read_file, unpacked
 from me3bev_plugins.simulator.highway.opendrive.values import HINT, Element, Values
 
 
-def read_document(source: Path | bytes, name: str) -> Document:
+def read_document(source: Path | bytes, name: str, where: str | None = None) -> Document:
     """Parse OpenDRIVE, plain or gzipped, from a path or from bytes.
 
+    Args:
+        where: what errors call the file; by default its path, or the name when there is none.
+
     Raises:
-        MapError: the file is missing, empty, damaged, not OpenDRIVE, or has no road.
+        MapError: the file is missing, empty, damaged, too large, not OpenDRIVE, or has no road.
     """
-    where = str(source) if isinstance(source, Path) else name
-    root = _root(_load(source, where), where)
-    document = Document(name)
+    where = where or (str(source) if isinstance(source, Path) else name)
+    data = read_file(source) if isinstance(source, Path) else unpacked(source, where)
+    root = parse(data, where)
+    document = Document(name, where)
     for element in root.findall("road"):
         road = RoadReader(element, where).road()
         if road.id in document.roads:
@@ -33,41 +35,6 @@ def read_document(source: Path | bytes, name: str) -> Document:
     if not document.roads:
         raise MapError("the file has no <road>", where=where, hint=HINT)
     return document
-
-
-def _load(source: Path | bytes, where: str) -> bytes:
-    try:
-        data = source.read_bytes() if isinstance(source, Path) else source
-        if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as fault:
-        raise MapError(f"the compressed file is damaged ({fault})", where=where, hint="Copy it again") from fault
-    except OSError as fault:
-        raise MapError(
-            f"cannot be read ({fault.strerror or fault})", where=where, hint="Give the path of an .xodr file"
-        ) from fault
-    if not data.strip():
-        raise MapError("the file is empty", where=where, hint="Give an OpenDRIVE file (.xodr or .xodr.gz)")
-    return data
-
-
-def _root(data: bytes, where: str) -> Element:
-    try:
-        root = ET.fromstring(data)
-    except (ET.ParseError, ValueError, LookupError) as fault:
-        hint = "It may be truncated: copy it again"
-        raise MapError(f"is not well-formed XML ({fault})", where=where, hint=hint) from fault
-    for element in root.iter():  # Some exporters put everything in a namespace.
-        if isinstance(element.tag, str) and element.tag.startswith("{"):
-            element.tag = element.tag.rpartition("}")[2]
-    if root.tag != "OpenDRIVE":
-        raise MapError(
-            f"the outermost element is <{root.tag}>",
-            where=where,
-            allowed="<OpenDRIVE>",
-            hint="Give an OpenDRIVE file (.xodr or .xodr.gz)",
-        )
-    return root
 
 
 def _junction(element: Element, where: str) -> JunctionRecord:

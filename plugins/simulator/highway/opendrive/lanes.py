@@ -109,7 +109,7 @@ def build_network(document: Document, shapes: Shapes) -> Network:
     if not any(draft.successors for draft in kept):
         raise MapError(
             "no driving lane leads back to where it began, so nothing could drive on for ever",
-            where=document.name,
+            where=document.where,
             hint="Link its roads into at least one closed course",
         )
     _renumber(kept, [int(n) for n in np.cumsum(keep) - 1], keep)

@@ -135,9 +135,10 @@ class JunctionRecord:
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A whole file; ids are those of the file."""
+    """A whole file; ids are those of the file. Errors call it `where`."""
 
     name: str
+    where: str
     roads: dict[str, Road] = field(default_factory=dict)
     junctions: dict[str, JunctionRecord] = field(default_factory=dict)
 
