@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from me3bev_plugins.simulator.highway.maps import load_town
+from me3bev_plugins.simulator.highway.maps import MAPS, load_town
 from me3bev_plugins.simulator.highway.town import Junction, Lane, Town
+from me3bev_plugins.simulator.highway.towns.carriageways import Carriageways
 from me3bev_plugins.simulator.highway.towns.facts import measure
+from me3bev_plugins.simulator.highway.towns.facts_compare import compare
 
 
 def line(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
@@ -47,26 +50,56 @@ def test_figures_of_a_hand_made_oval() -> None:
     assert facts.width == (3.0, 3.5, 3.5)
 
 
-@pytest.mark.parametrize(
-    ("name", "lane_km", "signalised", "kinds"),
-    [
-        ("T1", 6.40, 12, {"3": 12}),
-        ("T2", 2.92, 8, {"3": 8}),
-        ("T3", 14.33, 11, {"3": 16, "4": 5, "5": 1, "roundabout": 1}),
-        ("T4", 33.34, 12, {"3": 9, "4": 9}),
-        ("T5", 23.47, 15, {"3": 8, "4": 13}),
-        ("T6", 25.52, 8, {"3": 5, "4": 4, "merge": 12, "pass": 2}),
-        ("T7", 7.14, 5, {"3": 20, "4": 3, "pass": 6}),
-    ],
-)
-def test_shipped_towns_have_the_size_and_junctions_meant(
-    name: str, lane_km: float, signalised: int, kinds: dict[str, int]
-) -> None:
-    facts = measure(load_town(name))
-    assert facts.lane_km == pytest.approx(lane_km, rel=0.15)
-    assert facts.signalised == signalised
-    for kind, count in kinds.items():
-        assert abs(facts.intersections[kind] - count) <= max(1, 0.15 * count), kind
+@pytest.mark.parametrize("name", MAPS)
+def test_every_fact_of_a_built_in_town_is_within_its_tolerance(name: str) -> None:
+    rows = compare(name, measure(load_town(name)))
+    assert [row for row in rows if row.within is False] == []
+    judged = {row.key for row in rows if row.within}
+    assert {"lanes", "junctions with lights", "median lane width", "straight lanes", "median block"} <= judged
+    assert {"3-arm junctions", "4-arm junctions", "5-arm junctions", "merges", "roundabouts"} <= judged
+    assert all((row.reference is None) == (row.within is None) for row in rows if row.tolerance)
+    # The two originals without signs have no posted limits to compare with.
+    limits = [row for row in rows if row.key.startswith("limit of")]
+    assert all((row.reference is None) == (name in ("T3", "T5")) for row in limits)
+    assert sum(row.value for row in limits) == pytest.approx(100.0)
+
+
+def test_a_town_of_ones_own_has_nothing_to_be_compared_with() -> None:
+    rows = compare("Elsewhere", measure(load_town("T2")))
+    assert {(row.reference, row.tolerance, row.within) for row in rows} == {(None, "", None)}
+    assert {row.key for row in rows} >= {"lanes", "merges", "limit of 30 km/h", "median bend radius", "crosswalks"}
+
+
+def test_what_lies_outside_is_said() -> None:
+    facts = measure(load_town("T2"))
+    changed = replace(facts, road_km=facts.road_km + 1.0, signalised=6, width=(4.0, 4.11, 4.2))
+    changed = replace(changed, intersections=facts.intersections | {"3": 6, "merge": 1}, posted_kmh={30: 0.6, 60: 0.4})
+    outside = {row.key: row.reference for row in compare("T2", changed) if row.within is False}
+    # 3.89 km for 2.92; 6 lights for 8 and 6 junctions for 8, where one is allowed; 14.8 points at 30, 25.3 at 60.
+    assert outside == {
+        "lanes": 2.92,
+        "junctions with lights": 8.0,
+        "3-arm junctions": 8.0,
+        "limit of 30 km/h": pytest.approx(74.8),
+        "limit of 60 km/h": pytest.approx(14.7),
+        "median lane width": 4.0,
+    }
+
+
+@pytest.mark.parametrize(("name", "sites"), [("T3", 0), ("T4", 1), ("T5", 3)])
+def test_places_with_two_levels_are_counted(name: str, sites: int) -> None:
+    assert measure(load_town(name)).levels == sites
+
+
+def test_lanes_that_may_not_be_changed_between_are_one_carriageway() -> None:
+    lanes = (
+        Lane(0, line(0, 0, 100, 0), 3.5, 14.0),
+        Lane(1, line(0, -3.5, 100, -3.5), 3.5, 14.0),
+        Lane(2, line(0, -10.5, 100, -10.5), 3.5, 14.0),  # A lane's width of grass away.
+        Lane(3, line(100, 3.5, 0, 3.5), 3.5, 14.0),  # The other direction.
+        Lane(4, line(50, -7.0, 100, -7.0), 3.5, 14.0),  # Begins half-way.
+    )
+    assert Carriageways(Town("strips", lanes, ())).lanes == [[0, 1], [2], [3], [4]]
 
 
 def test_the_roundabout_has_two_lanes_and_four_legs() -> None:

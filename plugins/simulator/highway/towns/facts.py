@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from me3bev_plugins.simulator.highway.ground_levels import find_levels
 from me3bev_plugins.simulator.highway.town import Floats, Junction, Lane, Town
+from me3bev_plugins.simulator.highway.towns.carriageways import Carriageways
 
 STRAIGHT = 1e-3
 """1/m; less curvature than this is straight."""
@@ -18,6 +20,8 @@ MERGE = np.radians(70.0)
 """A junction whose turns are all below this is a merge."""
 SHORTEST_BLOCK = 10.0
 ROUNDABOUT_RADIUS = 40.0
+SITE = 40.0
+"""Metres; crossings on two levels nearer to each other are one place."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,11 @@ class Facts:
     block: tuple[float, float, float]
     """10th, 50th and 90th percentile from junction to junction, one for each direction of a road."""
     z: tuple[float, float]
+    """Lowest and highest lane."""
+    furniture: dict[str, int]
+    """How many "light" (heads), "stop", "yield" (signs) and "crosswalk"."""
+    levels: int
+    """Places where roads cross above one another."""
 
     @property
     def lane_km(self) -> float:
@@ -55,8 +64,9 @@ def measure(town: Town) -> Facts:
     lengths = np.array([lane.length for lane in roads])
     x0, y0, x1, y1 = town.bounds
     lanes_each: dict[int, float] = defaultdict(float)
-    for group in _groups(roads):
-        lanes_each[len(group)] += group[0].length
+    ways = Carriageways(town)
+    for number, group in enumerate(ways.lanes):
+        lanes_each[len(group)] += ways.length(number)
     limits: dict[int, float] = defaultdict(float)
     for lane in roads:
         limits[round(lane.limit * 3.6)] += lane.length
@@ -67,15 +77,22 @@ def measure(town: Town) -> Facts:
         box=(x1 - x0, y1 - y0),
         road_km=float(lengths.sum()) / 1000,
         connector_km=sum(lane.length for lane in inside) / 1000,
-        intersections=_intersections(town),
+        intersections=_intersections(town, ways),
         signalised=sum(junction.control == "signal" for junction in town.junctions),
         lanes_per_direction=_shares(lanes_each),
         posted_kmh=_shares(limits),
         width=(_weighted(widths, lengths, 5), _weighted(widths, lengths, 50), _weighted(widths, lengths, 95)),
         straight=straight,
         bend_radius=radius,
-        block=_blocks(town, roads),
+        block=_blocks(town, ways),
         z=(float(z.min()), float(z.max())),
+        furniture={
+            "light": len(town.signals),
+            "stop": sum(sign.kind == "stop" for sign in town.signs),
+            "yield": sum(sign.kind == "yield" for sign in town.signs),
+            "crosswalk": len(town.crosswalks),
+        },
+        levels=_level_sites(town),
     )
 
 
@@ -88,19 +105,6 @@ def _weighted(values: Floats, weights: Floats, percent: float) -> float:
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(reached, percent / 100 * reached[-1])])
-
-
-def _groups(roads: list[Lane]) -> list[list[Lane]]:
-    """Lanes side by side in one direction, leftmost first."""
-    by_id = {lane.id: lane for lane in roads}
-    groups = []
-    for lane in roads:
-        if lane.left is None:
-            group = [lane]
-            while (right := group[-1].right) is not None:
-                group.append(by_id[right])
-            groups.append(group)
-    return groups
 
 
 def _bends(roads: list[Lane]) -> tuple[float, float]:
@@ -120,53 +124,63 @@ def _bends(roads: list[Lane]) -> tuple[float, float]:
     return float(length[~curved].sum() / length.sum()), _weighted(1 / curvature[curved], length[curved], 50)
 
 
-def _blocks(town: Town, roads: list[Lane]) -> tuple[float, float, float]:
+def _blocks(town: Town, ways: Carriageways) -> tuple[float, float, float]:
     """Percentiles of the length from junction to junction; a change of limit or a junction without choice ends none."""
-    passes = {junction.id for junction in town.junctions if _kind(town, junction) == "pass"}
-    through = {lane.id for lane in town.lanes if lane.junction is None or lane.junction in passes}
+    passes = {junction.id for junction in town.junctions if _kind(ways, junction) == "pass"}
+    ahead = ways.ahead(passes)
+    reached = {after for group in ahead for after in ahead[group]}
     found = []
-    for lane in roads:
-        if lane.left is not None or through & set(lane.predecessors):
+    for group in range(len(ways.lanes)):
+        if group in reached:
             continue
-        length, at = lane.length, lane
-        while len(at.successors) == 1 and at.successors[0] in through:
-            at = town.lanes[at.successors[0]]
-            length += at.length
+        length, at, seen = ways.length(group), group, {group}
+        while follow := ahead.get(at, set()) - seen:
+            at = min(follow, key=lambda n: -len(ways.lanes[n]))
+            seen.add(at)
+            length += ways.length(at)
         if length >= SHORTEST_BLOCK:
             found.append(length)
     p10, p50, p90 = np.percentile(found, [10, 50, 90]) if found else (0.0, 0.0, 0.0)
     return float(p10), float(p50), float(p90)
 
 
-def _intersections(town: Town) -> dict[str, int]:
+def _intersections(town: Town, ways: Carriageways) -> dict[str, int]:
     round_ones = _roundabouts(town)
     counts = {"3": 0, "4": 0, "5": 0, "merge": 0, "roundabout": len(round_ones), "pass": 0}
     ringed = {n for ring in round_ones for n in ring}
     for junction in town.junctions:
         if junction.id not in ringed:
-            counts[_kind(town, junction)] += 1
+            counts[_kind(ways, junction)] += 1
     return counts
 
 
-def _kind(town: Town, junction: Junction) -> str:
-    turns = [abs(town.lanes[n].heading[-1] - town.lanes[n].heading[0]) for n in junction.connectors]
-    ways = {
-        (_leftmost(town, a), _leftmost(town, b))
+def _kind(ways: Carriageways, junction: Junction) -> str:
+    lanes = ways.town.lanes
+    turns = [abs(lanes[n].heading[-1] - lanes[n].heading[0]) for n in junction.connectors]
+    joined = {
+        (int(ways.of[a]), int(ways.of[b]))
         for n in junction.connectors
-        for a in town.lanes[n].predecessors
-        for b in town.lanes[n].successors
+        for a in lanes[n].predecessors
+        for b in lanes[n].successors
     }
-    if len(ways) == len({a for a, _ in ways}) == len({b for _, b in ways}):
+    if len(joined) == len({a for a, _ in joined}) == len({b for _, b in joined}):
         return "pass"
     if max(turns) < MERGE:
         return "merge"
     return str(min(max(junction.arms, 3), 5))
 
 
-def _leftmost(town: Town, lane: int) -> int:
-    while (left := town.lanes[lane].left) is not None:
-        lane = left
-    return lane
+def _level_sites(town: Town) -> int:
+    """Places where lanes lie above one another; those within `SITE` of each other are one."""
+    left = find_levels(town).sites[:, :2]
+    count = 0
+    while len(left):
+        frontier, left = left[:1], left[1:]
+        while len(frontier):
+            near = (np.linalg.norm(left[:, None] - frontier[None], axis=2) < SITE).any(axis=1)
+            frontier, left = left[near], left[~near]
+        count += 1
+    return count
 
 
 def _roundabouts(town: Town) -> list[set[int]]:

@@ -11,6 +11,7 @@ from me3bev_plugins.simulator.highway.towns.streets import Layout, Node, Section
 MOTORWAY = Section(4, 0, shoulder=2.0, sidewalk=0)
 RAMP, LINK = (Section(n, 0, shoulder=1.0, sidewalk=0) for n in (1, 2))
 STREET = Section(1, 1, shoulder=0.5)
+SLIP = Section(1, 0, shoulder=0.5)
 HALF = 11.0
 """From the middle of the motorway to the middle of a carriageway."""
 OUTER = 5.25
@@ -58,6 +59,7 @@ def _streets() -> tuple[Street, ...]:
             30,
         ),
         Street("short street", polyline((255, 310), (255, 120)), STREET, 30),
+        Street("slip", polyline((104, 172), (74.5, 189, 30), (60, 214)), SLIP, 30),
     )
 
 
@@ -100,23 +102,42 @@ def _on_bend(centre: tuple[float, float], radius: float, degrees: float) -> Pose
     return centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle), angle + math.pi / 2
 
 
-def _nodes() -> tuple[Node, ...]:
-    ramps = []
-    ends = {
-        "north to west": ("onward", "onward"),
-        "west to south": ("onward", "back"),
-        "south to east": ("back", "back"),
-        "east to north": ("back", "onward"),
-        "south link": ("onward", "back"),
-        "north link": ("back", ""),
-    }
-    paths = {street.name: street.path for street in (*_loops(),)}
-    paths |= {"south link": _south_link(), "north link": _north_link()}
-    for name, (source, target) in ends.items():
-        first, last = paths[name].pose(0.0)[:2], paths[name].pose(paths[name].length)[:2]
-        ramps.append(Node(f"{source} to {name}", first, streets=(source, name), reach=6, radius=15))
+def _ramps() -> list[Node]:
+    """Where loops and links leave and join. On each side of the crossing, one junction holds both carriageways with
+    the loop that leaves one and the loop that joins the other."""
+    far = HALF + OUTER + 12.0
+    loops = (
+        ("north", (0.0, LEG + far), "north to west", "west to south"),
+        ("west", (-far, LEG), "west to south", "south to east"),
+        ("south", (0.0, LEG - far), "south to east", "east to north"),
+        ("east", (far, LEG), "east to north", "north to west"),
+    )
+    reach = HALF + OUTER + 0.5
+    nodes = [
+        Node(
+            f"loops {side}",
+            at,
+            "yield",
+            minor=(joining,),
+            streets=("onward", "back", leaving, joining),
+            reach=reach,
+            radius=15,
+            banned=((joining, "left"),),
+        )
+        for side, at, leaving, joining in loops
+    ]
+    for name, path, source, target in (
+        ("south link", _south_link(), "onward", "back"),
+        ("north link", _north_link(), "back", ""),
+    ):
+        first, last = path.pose(0.0)[:2], path.pose(path.length)[:2]
+        nodes.append(Node(f"{source} to {name}", first, streets=(source, name), reach=6, radius=15))
         if target:
-            ramps.append(Node(f"{name} to {target}", last, "yield", streets=(target, name), reach=6, radius=15))
+            nodes.append(Node(f"{name} to {target}", last, "yield", streets=(target, name), reach=6, radius=15))
+    return nodes
+
+
+def _nodes() -> tuple[Node, ...]:
     lit = [(200, 310), (255, 310), (200, 248), (312, 248), (60, 172), (130, 172), (255, 172), (312, 172), (352, 172)]
     lights = [Node(f"grid {x}, {y}", (x, y), "signal", crosswalks=True) for x, y in [*lit, (255, 120), (312, 120)]]
     lights.append(Node("western lights", (-385, LEG), "signal", streets=("onward", "back", "north link"), reach=13))
@@ -125,4 +146,8 @@ def _nodes() -> tuple[Node, ...]:
         for x, y in ((255, 248), (200, 172))
     ]
     gates = [(HALF, 172), (EAST - HALF, 172), (EAST - HALF, 68), (200, NORTH - HALF)]
-    return (*ramps, *lights, *stops, *(Node(f"gate {x:.0f}, {y:.0f}", (x, y), "stop") for x, y in gates))
+    slips = (
+        Node("long street to slip", (104, 172), streets=("long street", "slip")),
+        Node("slip to outer street", (60, 214), "yield", streets=("outer street", "slip")),
+    )
+    return (*_ramps(), *slips, *lights, *stops, *(Node(f"gate {x:.0f}, {y:.0f}", (x, y), "stop") for x, y in gates))
