@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint
 from typing import Any
@@ -16,14 +16,19 @@ from torch import nn
 
 from me3bev_cli import registry
 from me3bev_cli.api import Camera, ObservationConfig, PluginConfig, Rig, SpatialOutput, StepRecord, TokenSpec
+from me3bev_cli.errors import unknown_name
+from me3bev_cli.seeding import derive_seed
 
 LENGTH = 12
+WEATHERS = ("sun", "moon", "mist")
 
 
 class LineEnv(gymnasium.Env[dict[str, Any], Any]):
     """A point on a line that should move on: the reward is its speed, a hard left is a collision."""
 
-    def __init__(self, observation: ObservationConfig, place: str, images: bool) -> None:
+    def __init__(
+        self, observation: ObservationConfig, place: str, weathers: Sequence[str] | None, images: bool
+    ) -> None:
         shape = (len(observation.cameras), 3, observation.height, observation.width)
         boxes: dict[str, spaces.Space[Any]] = {
             "road": spaces.Box(-1e3, 1e3, (9,), np.float32),
@@ -35,6 +40,10 @@ class LineEnv(gymnasium.Env[dict[str, Any], Any]):
         self.observation_space = spaces.Dict(boxes)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.place = place
+        self.weathers = WEATHERS[:1] if weathers is None else tuple(weathers)
+        for name in self.weathers:
+            if name not in WEATHERS:
+                raise unknown_name("weather", name, WEATHERS)
 
     def _observe(self) -> dict[str, Any]:
         obs = {
@@ -52,7 +61,8 @@ class LineEnv(gymnasium.Env[dict[str, Any], Any]):
         super().reset(seed=seed)
         self.seed_used = seed
         self.steps, self.x, self.speed = 0, 0.0, 0.0
-        return self._observe(), {}
+        self.weather = self.weathers[derive_seed("weather", seed or 0) % len(self.weathers)]
+        return self._observe(), {"weather": self.weather}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         self.steps += 1
@@ -67,7 +77,8 @@ class LineEnv(gymnasium.Env[dict[str, Any], Any]):
             collision="vehicle" if hit else "", at_fault=hit, red_light=False, stop_sign=False, reward=self.speed,
         )  # fmt: skip
         truncated = self.steps >= LENGTH
-        return self._observe(), self.speed - 5.0 * hit, hit, truncated and not hit, {"record": record}
+        info = {"record": record, "weather": self.weather}
+        return self._observe(), self.speed - 5.0 * hit, hit, truncated and not hit, info
 
     def autopilot(self) -> Any:
         return np.array([0.0, 1.0], np.float32)
@@ -80,6 +91,9 @@ class LineEnv(gymnasium.Env[dict[str, Any], Any]):
         classes[:, 90:110] = 1
         classes[40 + 10 * (self.steps % 4) : 60 + 10 * (self.steps % 4), 95:100] = 6
         return classes
+
+    def plan_view(self, size: int) -> Any:
+        return np.full((size, size, 3), self.steps, np.uint8)
 
 
 class LineSimulator:
@@ -97,6 +111,9 @@ class LineSimulator:
     def densities(self) -> tuple[str, ...]:
         return ("low", "high")
 
+    def weathers(self) -> tuple[str, ...]:
+        return WEATHERS
+
     def rig(self, observation: ObservationConfig) -> Rig:
         size = {"width": observation.width, "height": observation.height}
         lens = {"fx": 50.0, "fy": 50.0, "cx": observation.width / 2, "cy": observation.height / 2}
@@ -105,8 +122,16 @@ class LineSimulator:
             cameras=tuple(Camera(name=n, yaw=-float(i), position=(0.0, 0.0, 1.5), **size, **lens) for i, n in names)
         )
 
-    def make_env(self, observation: ObservationConfig, *, map: str, density: str, images: bool = True) -> LineEnv:
-        return LineEnv(observation, map, images)
+    def make_env(
+        self,
+        observation: ObservationConfig,
+        *,
+        map: str,
+        density: str,
+        weather: Sequence[str] | None = None,
+        images: bool = True,
+    ) -> LineEnv:
+        return LineEnv(observation, map, weather, images)
 
 
 class TinySpatial(nn.Module):

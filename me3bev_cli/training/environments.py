@@ -40,11 +40,13 @@ def make_environments(recipe: Recipe, stage: PpoStage, first_episode: int = 0) -
     cls, config = configured("simulator", choice)
     simulator = cls(config)
     place, density = choice.map, choice.density
+    weather = recipe.weather_in(stage)
     names = (recipe.seed, place, density)
 
     def maker(index: int) -> Any:
         def make() -> gymnasium.Env[Any, Any]:
-            env = simulator.make_env(recipe.observation, map=place, density=density, images="bev" in recipe.modalities)
+            images = "bev" in recipe.modalities
+            env = simulator.make_env(recipe.observation, map=place, density=density, weather=weather, images=images)
             return Monitor(SeededEpisodes(env, names, first_episode + index, stage.envs))
 
         return make

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -285,8 +285,16 @@ class StrictLine(LineSimulator):
             raise ValueError("no such camera")
         return super().rig(observation)
 
-    def make_env(self, observation: ObservationConfig, *, map: str, density: str, images: bool = True) -> LineEnv:
-        return self.env(observation, map, images)
+    def make_env(
+        self,
+        observation: ObservationConfig,
+        *,
+        map: str,
+        density: str,
+        weather: Sequence[str] | None = None,
+        images: bool = True,
+    ) -> LineEnv:
+        return self.env(observation, map, weather, images)
 
 
 class ForgetsRecord(LineEnv):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -10,13 +11,17 @@ from gymnasium import spaces
 from pydantic import Field
 
 from me3bev_cli.api import Camera, ObservationConfig, PluginConfig, Rig, StepRecord
+from me3bev_cli.seeding import derive_seed
+
+WEATHERS = ("dry", "wet", "white")
 
 
 class ScriptedEnv(gymnasium.Env[dict[str, Any], Any]):
     """Speeds are drawn from the seed, faster with the pedal; a step in fifty is a collision; the route is 30 m."""
 
-    def __init__(self, place: str, horizon: int, images: bool) -> None:
+    def __init__(self, place: str, horizon: int, images: bool, weathers: Sequence[str] | None = None) -> None:
         self.place, self.horizon, self.images = place, horizon, images
+        self.weathers = weathers or WEATHERS[:1]
         widths = {"road": 9, "vehicle": 4, "navigation": 5}
         self.observation_space = spaces.Dict({k: spaces.Box(-1, 1, (n,), np.float32) for k, n in widths.items()})
         self.action_space = spaces.Box(-1, 1, (2,), np.float32)
@@ -31,7 +36,8 @@ class ScriptedEnv(gymnasium.Env[dict[str, Any], Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
         self.steps, self.x = 0, 0.0
-        return self._observe(), {}
+        self.weather = self.weathers[derive_seed("weather", seed or 0) % len(self.weathers)]
+        return self._observe(), {"weather": self.weather}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         self.steps += 1
@@ -47,7 +53,8 @@ class ScriptedEnv(gymnasium.Env[dict[str, Any], Any]):
             stop_sign=False, reward=speed,
         )  # fmt: skip
         over = hit or self.x >= 30.0
-        return self._observe(), speed, over, self.steps >= self.horizon and not over, {"record": record}
+        info = {"record": record, "weather": self.weather}
+        return self._observe(), speed, over, self.steps >= self.horizon and not over, info
 
     def autopilot(self) -> Any:
         return np.array([0.0, 1.0], np.float32)
@@ -71,19 +78,30 @@ class Scripted:
     def densities(self) -> tuple[str, ...]:
         return "low", "high"
 
+    def weathers(self) -> tuple[str, ...]:
+        return WEATHERS
+
     def rig(self, observation: ObservationConfig) -> Rig:
         size = {"width": observation.width, "height": observation.height, "fx": 1.0, "fy": 1.0, "cx": 1.0, "cy": 1.0}
         return Rig(cameras=tuple(Camera(name=n, position=(0, 0, 1), yaw=0, **size) for n in observation.cameras))
 
-    def make_env(self, observation: ObservationConfig, *, map: str, density: str, images: bool = True) -> ScriptedEnv:
-        return ScriptedEnv(map, self.config.horizon, images)
+    def make_env(
+        self,
+        observation: ObservationConfig,
+        *,
+        map: str,
+        density: str,
+        weather: Sequence[str] | None = None,
+        images: bool = True,
+    ) -> ScriptedEnv:
+        return ScriptedEnv(map, self.config.horizon, images, weather)
 
 
 class Wrong(Scripted):
     """Reports steps that are not `StepRecord`s."""
 
-    def make_env(self, observation: ObservationConfig, *, map: str, density: str, images: bool = True) -> ScriptedEnv:
-        env = ScriptedEnv(map, self.config.horizon, images)
+    def make_env(self, observation: ObservationConfig, **place: Any) -> ScriptedEnv:
+        env = super().make_env(observation, **place)
         step = env.step
 
         def poor(action: Any) -> Any:
