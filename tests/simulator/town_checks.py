@@ -67,3 +67,28 @@ def _check_junctions(town: Town) -> None:
     for crosswalk in town.crosswalks:
         assert crosswalk.corners.shape == (4, 2)
         assert all(0 <= s <= town.lanes[n].length for n, s in crosswalk.lanes)
+
+
+def crossings_without_junction(town: Town, reach: float = 1.5) -> list[tuple[int, int, float]]:
+    """(lane, lane, metres between their heights) wherever two lanes pass within `reach` of each other in the plane.
+
+    Lanes that follow one another or lie in one junction are left out.
+    """
+    arrays = town.arrays
+    lane = np.repeat(np.arange(len(town.lanes)), np.diff(arrays.start))
+    cells: dict[tuple[int, int], list[int]] = {}
+    for index, (x, y) in enumerate(np.floor(arrays.xyz[:, :2] / reach).astype(int)):
+        cells.setdefault((int(x), int(y)), []).append(index)
+    linked = {(a.id, b) for a in town.lanes for b in a.successors}
+    found = []
+    for (x, y), here in cells.items():
+        around = [n for dx in (-1, 0, 1) for dy in (-1, 0, 1) for n in cells.get((x + dx, y + dy), ())]
+        for i in here:
+            for j in around:
+                a, b = int(lane[i]), int(lane[j])
+                same = town.lanes[a].junction is not None and town.lanes[a].junction == town.lanes[b].junction
+                if a >= b or same or (a, b) in linked or (b, a) in linked:
+                    continue
+                if np.hypot(*(arrays.xyz[i, :2] - arrays.xyz[j, :2])) < reach:
+                    found.append((a, b, float(abs(arrays.xyz[i, 2] - arrays.xyz[j, 2]))))
+    return found
