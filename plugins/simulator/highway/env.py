@@ -21,7 +21,8 @@ from me3bev_plugins.simulator.highway.ego import EgoVehicle, longitudinal_of
 from me3bev_plugins.simulator.highway.infractions import Infractions, RoadEdge, StopLines
 from me3bev_plugins.simulator.highway.interfaces import TownAction, TownObservation
 from me3bev_plugins.simulator.highway.maps import load_town
-from me3bev_plugins.simulator.highway.picture import picture
+from me3bev_plugins.simulator.highway.picture import camera_sheet
+from me3bev_plugins.simulator.highway.plan_view import plan_view
 from me3bev_plugins.simulator.highway.reward import reward
 from me3bev_plugins.simulator.highway.rig import surround_rig
 from me3bev_plugins.simulator.highway.roads import TownRoad, road_network
@@ -232,9 +233,15 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         """The true semantic map around the ego, (200, 200), classes as `BEV_CLASSES`, 0.5 m per cell."""
         return bev_semantics(self.scene)
 
+    def plan_view(self, size: int) -> NDArray[np.uint8]:
+        """The surroundings from above with what is left of the route, the ego heading up: (size, size, 3) r, g, b."""
+        route, progress = self.route, self._tracker.progress
+        left = route.points[(route.s >= progress) & (route.s <= route.length)]
+        return plan_view(self.scene, left, size)
+
     def render(self) -> NDArray[np.uint8] | None:
         """The cameras and the plan view in one picture (H, W, 3) when the render mode is "rgb_array"."""
         if self.render_mode != "rgb_array":
             return None
-        route = self.route
-        return picture(self.scene, self.cameras, self.rig, route.points[route.s <= route.length])
+        sheet = camera_sheet(self.scene, self.cameras, self.rig)
+        return np.concatenate([sheet, self.plan_view(len(sheet))], axis=1)

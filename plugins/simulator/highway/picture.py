@@ -1,4 +1,4 @@
-"""A picture of the environment for people: the cameras beside a plan of the surroundings."""
+"""The cameras of an environment in one picture, for people."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 
 from me3bev_cli.api import Rig
 from me3bev_plugins.simulator.highway.cameras import Cameras
-from me3bev_plugins.simulator.highway.plan_view import plan_image
 from me3bev_plugins.simulator.highway.scene import Scene
-from me3bev_plugins.simulator.highway.town import Floats
 
 COLUMNS = 3
 """Cameras per row."""
@@ -26,9 +24,8 @@ def tile(images: NDArray[np.uint8], columns: int = COLUMNS) -> NDArray[np.uint8]
     return np.ascontiguousarray(grid.reshape(rows * height, columns * width, 3))
 
 
-def picture(scene: Scene, cameras: Cameras, rig: Rig, route: Floats) -> NDArray[np.uint8]:
-    """All cameras and, to their right, the plan with the route (P, 3): (H, W, 3) r, g, b."""
+def camera_sheet(scene: Scene, cameras: Cameras, rig: Rig) -> NDArray[np.uint8]:
+    """All cameras side by side: (H, W, 3) r, g, b."""
     images = np.empty((len(rig.cameras), 3, *rig.image_size), np.uint8)
     cameras.render(scene, images)
-    sheet = tile(images)
-    return np.concatenate([sheet, plan_image(scene, route, len(sheet))], axis=1)
+    return tile(images)
