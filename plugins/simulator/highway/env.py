@@ -158,18 +158,19 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         self._traffic.reset(rng, vehicles, pedestrians, self.vehicle.pose, self._tracker.path)
         self.road.populate(self.vehicle, self._tracker, self._traffic)
         self._stop_lines.reset(self.vehicle.pose)
-        self.action_type.applied = np.zeros(2)
-        self._measure(None, Infractions(False, False))
+        self.action_type.applied = (0.0, 0.0)
+        self._measure(self.scene, None, Infractions(False, False))
 
     def _simulate(self, action: Any = None) -> None:
         super()._simulate(action)
-        hit = self._collisions(self.vehicle.pose, self._traffic.actors)
+        scene = self.scene
+        hit = self._collisions(scene.ego, scene.actors)
         self.vehicle.crashed = hit is not None
-        self._measure(hit, self._stop_lines.update(self.vehicle.pose, self._traffic.lights))
+        self._measure(scene, hit, self._stop_lines.update(scene.ego, scene.lights))
 
-    def _measure(self, hit: Hit | None, broken: Infractions) -> None:
+    def _measure(self, scene: Scene, hit: Hit | None, broken: Infractions) -> None:
         """Work out the situation and the record of the instant that has been reached."""
-        ego, scene = self.vehicle, self.scene
+        ego = self.vehicle
         state = assess(scene, ego, self._tracker)
         self.situation: Situation = state
         self._record: StepRecord = step_record(
@@ -179,7 +180,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
             tracker=self._tracker,
             situation=state,
             scene=scene,
-            off_road=self._edge.off_road(ego.place, ego.x, ego.y),
+            off_road=self._edge.off_road(ego.place, scene.ego.x, scene.ego.y),
             hit=hit,
             broken=broken,
             reward=reward(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from me3bev_cli.api import LIGHT_STATES, NAVIGATION_WIDTH, ROAD_WIDTH
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats
 
 Features = NDArray[np.float32]
@@ -22,6 +22,7 @@ MAX_SPEED = 60.0
 """Bound of speeds and limits, m/s."""
 MAX_DISTANCE = 1000.0
 """Bound of distances to waypoints, metres."""
+NO_LIGHT = LIGHT_STATES.index("none")
 
 
 def road_space() -> spaces.Box:
@@ -55,7 +56,7 @@ def road_features(*, on_connector: bool, junction_distance: float, light: int, l
     values = np.zeros(ROAD_WIDTH, np.float32)
     values[0] = on_connector
     values[1] = on_connector or junction_distance <= NEAR_JUNCTION
-    values[2] = light != LIGHT_STATES.index("none")
+    values[2] = light != NO_LIGHT
     values[3] = min(limit, MAX_SPEED)
     values[4 + light] = 1.0
     return values
@@ -74,12 +75,25 @@ def navigation_features(
 
     `distance`: metres to each. `offset`, in the ego frame: y of the 1st, x and y of the 3rd, x and y of the 5th.
     """
-    dx, dy = waypoints[:, 0] - x, waypoints[:, 1] - y
+    values = np.empty(NAVIGATION_WIDTH, np.float32)
     if mode == "distance":
-        values = np.hypot(dx, dy)
+        _distances(waypoints, x, y, values)
     else:
-        ahead = dx * math.cos(heading) + dy * math.sin(heading)
-        left = dy * math.cos(heading) - dx * math.sin(heading)
-        values = np.array([left[0], ahead[2], left[2], ahead[4], left[4]])
-    clipped: Features = np.clip(values, -MAX_DISTANCE, MAX_DISTANCE).astype(np.float32)
-    return clipped
+        _offsets(waypoints, x, y, heading, values)
+    return values
+
+
+@kernel
+def _distances(waypoints: NDArray[Any], x: float, y: float, out: NDArray[Any]) -> None:
+    for i in range(len(out)):
+        out[i] = min(np.hypot(waypoints[i, 0] - x, waypoints[i, 1] - y), MAX_DISTANCE)
+
+
+@kernel
+def _offsets(waypoints: NDArray[Any], x: float, y: float, heading: float, out: NDArray[Any]) -> None:
+    cos, sin = np.cos(heading), np.sin(heading)
+    for i in range(0, len(out), 2):
+        dx, dy = waypoints[i, 0] - x, waypoints[i, 1] - y
+        if i > 0:
+            out[i - 1] = max(-MAX_DISTANCE, min(MAX_DISTANCE, dx * cos + dy * sin))
+        out[i] = max(-MAX_DISTANCE, min(MAX_DISTANCE, dy * cos - dx * sin))

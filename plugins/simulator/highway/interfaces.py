@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +30,8 @@ class TownAction(ActionType):  # type: ignore[misc]  # highway-env has no types
 
     def __init__(self, env: TownEnv) -> None:
         super().__init__(env)
-        self.applied = np.zeros(2)
+        self.applied = (0.0, 0.0)
+        """The last action, clipped."""
 
     def space(self) -> spaces.Box:
         """Two numbers in [-1, 1]."""
@@ -47,10 +49,10 @@ class TownAction(ActionType):  # type: ignore[misc]  # highway-env has no types
             UserError: for an action that is not two finite numbers.
         """
         values = np.asarray(action, np.float64)
-        if values.shape != (2,) or not np.isfinite(values).all():
+        if values.shape != (2,) or not all(map(math.isfinite, values.tolist())):
             raise UserError(f"the action is {action!r}", allowed="two finite numbers: steering, longitudinal")
-        self.applied = np.clip(values, -1.0, 1.0)
-        steering, longitudinal = (float(v) for v in self.applied)
+        steering, longitudinal = (min(1.0, max(-1.0, value)) for value in values.tolist())
+        self.applied = (steering, longitudinal)
         self.env.vehicle.act({"steering": STEERING * steering, "acceleration": acceleration_of(longitudinal)})
 
 
@@ -88,7 +90,7 @@ class TownObservation(ObservationType):  # type: ignore[misc]  # highway-env has
             limit=state.limit,
         )
         values["vehicle"] = vehicle_features(
-            similarity=state.similarity, speed=ego.speed, longitudinal=float(env.action_type.applied[1])
+            similarity=state.similarity, speed=ego.speed, longitudinal=env.action_type.applied[1]
         )
         values["navigation"] = navigation_features(
             env.observation.navigation, state.waypoints, ego.x, ego.y, ego.heading

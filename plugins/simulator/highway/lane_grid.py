@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from me3bev_plugins.simulator.highway.town import Floats, Ints, LaneArrays, Town
+from me3bev_plugins.simulator.highway.compiled import kernel
+from me3bev_plugins.simulator.highway.town import Ints, Town
 
 CELL = 10.0
 """Side of a grid cell, metres; anything nearer than this to a point is found."""
@@ -33,77 +33,71 @@ class Place(NamedTuple):
     """Metres to the nearest centre line that crosses a junction."""
 
 
-@njit(cache=True)
+SEGMENT = np.dtype(
+    [
+        ("x", np.float64), ("y", np.float64), ("z", np.float64),
+        ("dx", np.float64), ("dy", np.float64), ("rise", np.float64),
+        ("s", np.float64), ("heading", np.float64), ("half_width", np.float64),
+        ("lane", np.int32), ("crosses", np.int32),
+    ]
+)  # fmt: skip
+"""A piece of a centre line: where it begins, the way to its end, arc length and direction at its beginning, its lane
+and whether that crosses a junction."""
+
+
+@kernel
 def _scan(
+    segments: NDArray[Any],
     begin: int,
     end: int,
-    order: NDArray[Any],
-    lane_of: NDArray[Any],
-    xyz: NDArray[Any],
-    s: NDArray[Any],
-    heading: NDArray[Any],
-    width: NDArray[Any],
-    junction: NDArray[Any],
     pose: tuple[float, float, float, float],
     best: tuple[int, float, float, float, float, float, float, float],
 ) -> tuple[int, float, float, float, float, float, float, float]:
-    """Fold the segments `order[begin:end]` into `best`: lane, s, lateral, z, outside, junction, score, distance."""
+    """Fold segments [begin, end) into `best`: lane, s, lateral, z, outside, junction, score, distance."""
     x, y, z, direction = pose
     lane, lane_s, lateral, ground, outside, near_junction, score, nearest = best
     for k in range(begin, end):
-        i = order[k]
-        dx, dy = xyz[i + 1, 0] - xyz[i, 0], xyz[i + 1, 1] - xyz[i, 1]
+        segment = segments[k]
+        dx, dy = segment.dx, segment.dy
         length2 = dx * dx + dy * dy
-        px, py = x - xyz[i, 0], y - xyz[i, 1]
+        px, py = x - segment.x, y - segment.y
         t = (px * dx + py * dy) / length2 if length2 > 0.0 else 0.0
         t = min(1.0, max(0.0, t))
-        height = xyz[i, 2] + t * (xyz[i + 1, 2] - xyz[i, 2])
+        height = segment.z + t * segment.rise
         if abs(height - z) > LEVEL:
             continue
         ex, ey = px - t * dx, py - t * dy
         distance = np.sqrt(ex * ex + ey * ey)
-        turn = abs((heading[i] - direction + np.pi) % (2.0 * np.pi) - np.pi)
-        owner = lane_of[i]
-        if distance + turn < score:
-            score, lane = distance + turn, owner
-            lane_s = s[i] + t * np.sqrt(length2)
-            lateral = distance if dx * ey - dy * ex >= 0.0 else -distance
+        if distance < score:  # Else no turn can make it better: they are dear to work out.
+            turn = abs((segment.heading - direction + np.pi) % (2.0 * np.pi) - np.pi)
+            if distance + turn < score:
+                score, lane = distance + turn, segment.lane
+                lane_s = segment.s + t * np.sqrt(length2)
+                lateral = distance if dx * ey - dy * ex >= 0.0 else -distance
         if distance < nearest:
             nearest, ground = distance, height
-        outside = min(outside, distance - 0.5 * width[owner])
-        if junction[owner] >= 0:
+        outside = min(outside, distance - segment.half_width)
+        if segment.crosses:
             near_junction = min(near_junction, distance)
     return lane, lane_s, lateral, ground, outside, near_junction, score, nearest
 
 
-@njit(cache=True)
+@kernel
 def _locate(
-    x: float,
-    y: float,
-    z: float,
-    direction: float,
-    x0: float,
-    y0: float,
-    columns: int,
-    rows: int,
+    segments: NDArray[Any],
     start: NDArray[Any],
-    order: NDArray[Any],
-    lane_of: NDArray[Any],
-    xyz: NDArray[Any],
-    s: NDArray[Any],
-    heading: NDArray[Any],
-    width: NDArray[Any],
-    junction: NDArray[Any],
-) -> tuple[int, float, float, float, float, float, float, float]:
-    best = (-1, 0.0, 0.0, z, np.inf, np.inf, np.inf, np.inf)
-    pose = (x, y, z, direction)
-    column, row = int(np.floor((x - x0) / CELL)), int(np.floor((y - y0) / CELL))
+    cells: tuple[float, float, int, int],
+    pose: tuple[float, float, float, float],
+) -> tuple[int, float, float, float, float, float]:
+    """The `Place` of a pose (x, y, z, heading). `cells` is the grid's lowest corner, its columns and its rows."""
+    x0, y0, columns, rows = cells
+    best = (-1, 0.0, 0.0, pose[2], np.inf, np.inf, np.inf, np.inf)
+    column, row = int(np.floor((pose[0] - x0) / CELL)), int(np.floor((pose[1] - y0) / CELL))
     for r in range(max(0, row - 1), min(rows, row + 2)):
         low, high = max(0, column - 1), min(columns, column + 2)
         if low < high:
-            begin, end = start[r * columns + low], start[r * columns + high]
-            best = _scan(begin, end, order, lane_of, xyz, s, heading, width, junction, pose, best)
-    return best
+            best = _scan(segments, start[r * columns + low], start[r * columns + high], pose, best)
+    return best[0], best[1], best[2], best[3], best[4], best[5]
 
 
 class LaneGrid:
@@ -111,19 +105,29 @@ class LaneGrid:
 
     def __init__(self, town: Town) -> None:
         arrays = town.arrays
-        self.lane_of: Ints = np.repeat(np.arange(len(town.lanes), dtype=np.int32), np.diff(arrays.start))
+        lane_of = np.repeat(np.arange(len(town.lanes), dtype=np.int32), np.diff(arrays.start))
         # A lane's last point begins no segment; a segment goes into the cell of its midpoint.
         begins = np.setdiff1d(np.arange(len(arrays.xyz)), arrays.start[1:] - 1)
         middle = (arrays.xyz[begins, :2] + arrays.xyz[begins + 1, :2]) / 2
-        self.origin: Floats = arrays.xyz[:, :2].min(0) - CELL
-        cells = np.floor((middle - self.origin) / CELL).astype(np.int64)
-        self.columns, self.rows = (int(n) for n in cells.max(0) + 2)
-        flat = cells[:, 1] * self.columns + cells[:, 0]
+        origin = arrays.xyz[:, :2].min(0) - CELL
+        cells = np.floor((middle - origin) / CELL).astype(np.int64)
+        columns, rows = (int(n) for n in cells.max(0) + 2)
+        flat = cells[:, 1] * columns + cells[:, 0]
         by_cell = np.argsort(flat, kind="stable")
-        self.order: Ints = begins[by_cell].astype(np.int32)
-        bounds = np.arange(self.columns * self.rows + 1)
-        self.start: Ints = np.searchsorted(flat[by_cell], bounds).astype(np.int32)
-        self._arrays: LaneArrays = arrays
+        self._start: Ints = np.searchsorted(flat[by_cell], np.arange(columns * rows + 1)).astype(np.int32)
+        self._cells = (float(origin[0]), float(origin[1]), columns, rows)
+        i = begins[by_cell]
+        lane = lane_of[i]
+        self._segments = np.zeros(len(i), SEGMENT)
+        for names, values in (
+            (("x", "y", "z"), arrays.xyz[i]),
+            (("dx", "dy", "rise"), arrays.xyz[i + 1] - arrays.xyz[i]),
+        ):
+            for axis, name in enumerate(names):
+                self._segments[name] = values[:, axis]
+        self._segments["s"], self._segments["heading"] = arrays.s[i], arrays.heading[i]
+        self._segments["half_width"] = 0.5 * arrays.width[lane]
+        self._segments["lane"], self._segments["crosses"] = lane, arrays.junction[lane] >= 0
 
     def locate(self, x: float, y: float, z: float, heading: float) -> Place:
         """The lanes around a point on the level of `z`.
@@ -133,18 +137,12 @@ class LaneGrid:
             heading: radians; one radian away from a lane's direction weighs as much as one metre away from its
                 centre, as in highway-env.
         """
-        a = self._arrays
-        found = _locate(
-            x, y, z, heading, self.origin[0], self.origin[1], self.columns, self.rows, self.start, self.order,
-            self.lane_of, a.xyz, a.s, a.heading, a.width, a.junction,
-        )  # fmt: skip
-        return Place(*found[:6])
+        return Place(*_locate(self._segments, self._start, self._cells, (x, y, z, heading)))
 
     def nearest(self, x: float, y: float, heading: float | None) -> int:
         """The lane that fits best on any level and at any distance (slow: reads every lane)."""
-        a = self._arrays
-        i = self.order
-        away = np.hypot(a.xyz[i, 0] - x, a.xyz[i, 1] - y)
+        segments = self._segments
+        away = np.hypot(segments["x"] - x, segments["y"] - y)
         if heading is not None:
-            away = away + np.abs((a.heading[i] - heading + np.pi) % (2 * np.pi) - np.pi)
-        return int(self.lane_of[i[np.argmin(away)]])
+            away = away + np.abs((segments["heading"] - heading + np.pi) % (2 * np.pi) - np.pi)
+        return int(segments["lane"][np.argmin(away)])

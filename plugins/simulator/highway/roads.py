@@ -177,5 +177,6 @@ class TownRoad(Road):  # type: ignore[misc]  # highway-env has no types
         if self.ego is None or self.tracker is None or self.traffic is None:
             raise RuntimeError("step() before populate()")
         self.ego.step(dt)
-        self.tracker.update(self.ego.x, self.ego.y)
-        self.traffic.step(dt, self.ego.pose, self.tracker.path)
+        pose = self.ego.pose
+        self.tracker.update(pose.x, pose.y)
+        self.traffic.step(dt, pose, self.tracker.path)

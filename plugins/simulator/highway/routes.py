@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.ego_path import EgoPath
 from me3bev_plugins.simulator.highway.town import Floats, Ints, Town
 
@@ -51,10 +52,23 @@ class Route:
         """Direction of the centre line, radians."""
         return float(np.interp(s, self.s, self.heading))
 
+    @cached_property
+    def _begins(self) -> list[float]:
+        return self.begins.tolist()
+
+    @cached_property
+    def _stops(self) -> list[float]:
+        return self.stops.tolist()
+
     def lane_at(self, s: float) -> tuple[int, float]:
         """(position within `lanes`, arc length on that lane) at an arc length of the route."""
-        k = max(0, int(np.searchsorted(self.begins, s, side="right")) - 1)
-        return k, s - float(self.begins[k])
+        k = max(0, bisect_right(self._begins, s) - 1)
+        return k, s - self._begins[k]
+
+    def next_stop(self, s: float, reach: float) -> int:
+        """The signal of the first stop line at an arc length of `s` or up to `reach` metres on, or -1."""
+        i = bisect_left(self._stops, s)
+        return int(self.signals[i]) if i < len(self._stops) and self._stops[i] - s <= reach else -1
 
 
 @lru_cache(maxsize=16)
@@ -97,7 +111,7 @@ def make_route(town: Town, lanes: list[int], start: float, length: float) -> Rou
     )
 
 
-@njit(cache=True)
+@kernel
 def _project(
     points: NDArray[Any], s: NDArray[Any], x: float, y: float, low: float, high: float
 ) -> tuple[float, float, float]:
@@ -118,6 +132,14 @@ def _project(
     return best_s, lateral, best
 
 
+@kernel
+def _follow(points: NDArray[Any], s: NDArray[Any], x: float, y: float, progress: float) -> tuple[float, float, float]:
+    """A new progress for a position, metres to its left, and the distance to the nearest point of the whole route."""
+    end = s[-1]
+    ahead, lateral, _ = _project(points, s, x, y, progress, min(end, progress + WINDOW))
+    return ahead, lateral, _project(points, s, x, y, 0.0, end)[2]
+
+
 class RouteTracker:
     """Where the ego is on its route. Progress never falls: going back, or round in circles, gains nothing."""
 
@@ -135,10 +157,7 @@ class RouteTracker:
     def update(self, x: float, y: float) -> None:
         """Follow the ego to a world position, metres; looks forward only, near where it last was."""
         route = self.route
-        end = float(route.s[-1])
-        high = min(end, self.progress + WINDOW)
-        self.progress, self.lateral, _ = _project(route.points, route.s, x, y, self.progress, high)
-        _, _, self.off_route = _project(route.points, route.s, x, y, 0.0, end)
+        self.progress, self.lateral, self.off_route = _follow(route.points, route.s, x, y, self.progress)
 
     @property
     def path(self) -> EgoPath:
@@ -159,8 +178,4 @@ class RouteTracker:
 
     def light_ahead(self, reach: float = 20.0) -> int:
         """The signal that governs the next stop line within `reach` metres, or -1."""
-        route = self.route
-        i = int(np.searchsorted(route.stops, self.progress, side="left"))
-        if i < len(route.stops) and route.stops[i] - self.progress <= reach:
-            return int(route.signals[i])
-        return -1
+        return self.route.next_stop(self.progress, reach)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from me3bev_cli.api import StepRecord
 from me3bev_plugins.simulator.highway.collisions import Hit
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.ego import EgoVehicle
 from me3bev_plugins.simulator.highway.features import NEAR_LIGHT
 from me3bev_plugins.simulator.highway.infractions import Infractions
@@ -21,6 +23,7 @@ TRAFFIC_RADIUS = 50.0
 """Metres within which the others' speed is averaged."""
 LEVEL = 2.5
 """Vehicles farther apart in height do not count, metres."""
+PEDESTRIAN = int(Kind.PEDESTRIAN)
 
 
 class Situation(NamedTuple):
@@ -28,6 +31,8 @@ class Situation(NamedTuple):
 
     waypoints: Floats
     """(5, 3) the next ones, world, metres."""
+    waypoint: tuple[float, float]
+    """x and y of the first of them."""
     similarity: float
     """Cosine between heading and the direction to the next waypoint."""
     waypoint_distance: float
@@ -52,11 +57,14 @@ def assess(scene: Scene, ego: EgoVehicle, tracker: RouteTracker) -> Situation:
     if tracker.off_route > lane.width / 2 + 0.5 and ego.place.lane >= 0:
         lane = town.lanes[ego.place.lane]
     waypoints = tracker.waypoints()
-    dx, dy = float(waypoints[0, 0]) - ego.x, float(waypoints[0, 1]) - ego.y
+    next_x, next_y, _ = waypoints[0].tolist()
+    here = scene.ego
+    dx, dy = next_x - here.x, next_y - here.y
     signal = tracker.light_ahead(NEAR_LIGHT)
     return Situation(
         waypoints=waypoints,
-        similarity=similarity(ego.heading, dx, dy),
+        waypoint=(next_x, next_y),
+        similarity=similarity(here.heading, dx, dy),
         waypoint_distance=math.hypot(dx, dy),
         limit=lane.limit,
         on_connector=lane.junction is not None,
@@ -64,19 +72,37 @@ def assess(scene: Scene, ego: EgoVehicle, tracker: RouteTracker) -> Situation:
     )
 
 
+@kernel
+def _gather_speeds(
+    x: float,
+    y: float,
+    z: float,
+    actors: tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]],
+    near: NDArray[Any],
+) -> int:
+    """Put the speeds of the vehicles about a point first into `near`; how many they are. `actors`: x y z kind speed."""
+    xs, ys, zs, kinds, speeds = actors
+    count = 0
+    for i in range(len(xs)):
+        if kinds[i] != PEDESTRIAN and abs(zs[i] - z) <= LEVEL and np.hypot(xs[i] - x, ys[i] - y) <= TRAFFIC_RADIUS:
+            near[count] = speeds[i]
+            count += 1
+    return count
+
+
 def traffic_speed(scene: Scene) -> float:
     """Mean speed of the vehicles within 50 m of the ego, m/s; NaN when there are none."""
     ego, actors = scene.ego, scene.actors
-    near = np.hypot(actors.x - ego.x, actors.y - ego.y) <= TRAFFIC_RADIUS
-    near &= (np.abs(actors.z - ego.z) <= LEVEL) & (actors.kind != Kind.PEDESTRIAN)
-    return float(actors.speed[near].mean()) if near.any() else math.nan
+    near = np.empty(len(actors))
+    count = _gather_speeds(ego.x, ego.y, ego.z, (actors.x, actors.y, actors.z, actors.kind, actors.speed), near)
+    return float(np.add.reduce(near[:count])) / count if count else math.nan
 
 
 def step_record(
     *,
     time: float,
     ego: EgoVehicle,
-    action: Floats,
+    action: tuple[float, float],
     tracker: RouteTracker,
     situation: Situation,
     scene: Scene,
@@ -96,10 +122,10 @@ def step_record(
         acceleration=float(ego.acceleration),
         lateral_acceleration=float(pose.speed * ego.yaw_rate),
         yaw_rate=float(ego.yaw_rate),
-        steering=float(action[0]),
-        longitudinal=float(action[1]),
-        waypoint_x=float(situation.waypoints[0, 0]),
-        waypoint_y=float(situation.waypoints[0, 1]),
+        steering=action[0],
+        longitudinal=action[1],
+        waypoint_x=situation.waypoint[0],
+        waypoint_y=situation.waypoint[1],
         similarity=situation.similarity,
         waypoint_distance=situation.waypoint_distance,
         speed_limit=situation.limit,
