@@ -16,6 +16,7 @@ from me3bev_cli.api import (
     StepRecord,
 )
 from me3bev_cli.errors import UserError
+from me3bev_cli.evaluation.episode import COLLISIONS, CONTACTS
 from me3bev_cli.testing import require
 
 STEPS = 5
@@ -95,6 +96,9 @@ def _check_record(cls: Any, info: dict[str, Any]) -> None:
         require(cls, fits, f"the record's `{name}` is a {kind.__name__}", repr(value))
         finite = kind is not float or name == "traffic_speed" or bool(np.isfinite(value))
         require(cls, finite, f"the record's `{name}` is finite", value)
+    said = (record or {})["collision"], (record or {})["contact"]
+    known = said[0] in COLLISIONS and said[1] in CONTACTS and bool(said[0]) == bool(said[1])
+    require(cls, known, f"`collision` is one of {COLLISIONS} and, with it, `contact` one of {CONTACTS}", said)
 
 
 def _check_extras(cls: Any, env: Any) -> None:

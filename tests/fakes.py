@@ -74,7 +74,9 @@ class LineEnv(gymnasium.Env[dict[str, Any], Any]):
             lateral_acceleration=0.0, yaw_rate=0.0, steering=float(action[0]), longitudinal=float(action[1]),
             waypoint_x=self.x + 2, waypoint_y=0.0, similarity=1.0, waypoint_distance=2.0, speed_limit=10.0,
             traffic_speed=float("nan"), route_done=self.x, route_length=5.0, off_route=0.0, off_road=False,
-            collision="vehicle" if hit else "", at_fault=hit, red_light=False, stop_sign=False, reward=self.speed,
+            collision="vehicle" if hit else "", at_fault=hit,
+            contact="front" if hit else "", red_light=False, stop_sign=False, lane_departure=False,
+            reward=self.speed,
         )  # fmt: skip
         truncated = self.steps >= LENGTH
         info = {"record": record, "weather": self.weather}

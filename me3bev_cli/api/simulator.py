@@ -72,10 +72,15 @@ class StepRecord(TypedDict):
     """"" or what was hit in this step: vehicle, pedestrian, static."""
     at_fault: bool
     """True when the ego's front ran into the other."""
+    contact: str
+    """"" or where on the ego the contact is: front, side, rear."""
     red_light: bool
     """True in the step in which the ego crossed a stop line on red."""
     stop_sign: bool
     """True in the step in which the ego ran a stop sign."""
+    lane_departure: bool
+    """True in the step in which the ego's centre left its lane for the opposite direction or for no road at all; a
+    change to a lane of the same direction is none, nor is anything inside a junction."""
     reward: float
 
 

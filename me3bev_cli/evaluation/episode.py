@@ -23,6 +23,9 @@ FORMAT = 1
 COLLISIONS = ("", "vehicle", "pedestrian", "static")
 """What `StepRecord.collision` may say."""
 
+CONTACTS = ("", "front", "side", "rear")
+"""What `StepRecord.contact` may say."""
+
 Ending = Literal["finished", "collision", "timeout", "stopped"]
 """Why an episode ended: at the end of its route, at a collision, cut off at the horizon, or by the simulator for
 another reason."""
@@ -108,6 +111,10 @@ def from_records(
         raise PluginError(f"the simulator's info['record'] lacks {error}", hint="StepRecord lists the fields") from None
     except (TypeError, ValueError) as error:
         raise PluginError(f"the simulator's info['record'] is not a StepRecord: {error}") from None
+    strange = set(steps["contact"].tolist()) - set(CONTACTS)
+    if strange:
+        names = ", ".join(repr(name) for name in CONTACTS)
+        raise PluginError(f"the simulator reports the contact '{min(strange)}'", allowed=names)
     odd = set(steps["collision"].tolist()) - set(COLLISIONS)
     if odd:
         names = ", ".join(repr(name) for name in COLLISIONS)

@@ -125,6 +125,10 @@ def stop_signs(episode: Episode) -> float:
     return float(np.count_nonzero(episode["stop_sign"]))
 
 
+def lane_departures(episode: Episode) -> float:
+    return float(np.count_nonzero(episode["lane_departure"]))
+
+
 def mean_speed(episode: Episode) -> float:
     return float(np.mean(episode["speed"]))
 
@@ -192,6 +196,11 @@ _ALL = (
     Metric(
         "stop_signs", "stop signs run", "per episode", "lower",
         "stop signs passed without a stop", _OWN, stop_signs,
+    ),
+    Metric(
+        "lane_departures", "lane departures", "per episode", "lower",
+        "times the ego's centre left its lane for the opposite direction or for no road at all, outside junctions",
+        _OWN, lane_departures,
     ),
     Metric(
         "off_road", "off road", "share of distance", "lower",

@@ -80,6 +80,11 @@ def test_route_completion_is_the_farthest_point() -> None:
     assert math.isnan(value("route_completion", episode(1, route_length=0)))
 
 
+def test_lane_departures_are_counted() -> None:
+    assert value("lane_departures", episode(5, lane_departure=[True, False, False, True, False])) == 2
+    assert value("lane_departures", episode(5)) == 0
+
+
 def test_off_road_goes_by_distance() -> None:
     # 2 + 6 of 2 + 6 + 4 + 4 = 16 metres per 0.1 s.
     drive = episode(4, speed=[2, 6, 4, 4], off_road=[True, True, False, False])

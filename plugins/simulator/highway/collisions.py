@@ -24,6 +24,9 @@ class Hit(NamedTuple):
     """vehicle, pedestrian or static."""
     at_fault: bool
     """True when the ego was moving and its front ran into the other, or it ran into something static."""
+    contact: str
+    """Where on the ego the middle of the shared area lies: front or rear, the last quarter of its length each, or side.
+    """
 
 
 @njit(cache=True)
@@ -64,15 +67,15 @@ def _hit_actor(
 
 
 @njit(cache=True)
-def _hit_static(ego: tuple[float, float, float, float, float], boxes: NDArray[Any], discs: NDArray[Any]) -> bool:
-    """Whether the ego overlaps one of `boxes` (B, 5) or of `discs` (D, 3: x, y, radius)."""
+def _hit_static(ego: tuple[float, float, float, float, float], boxes: NDArray[Any], discs: NDArray[Any]) -> int:
+    """Which of `boxes` (B, 5) or, from B on, of `discs` (D, 3: x, y, radius) the ego overlaps; -1 for none."""
     reach = (ego[3] + ego[4]) / 2
     for i in range(len(boxes)):
         far = reach + (boxes[i, 3] + boxes[i, 4]) / 2
         if abs(boxes[i, 0] - ego[0]) > far or abs(boxes[i, 1] - ego[1]) > far:
             continue
         if boxes_overlap(ego, (boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4])):
-            return True
+            return i
     c, s = np.cos(ego[2]), np.sin(ego[2])
     for i in range(len(discs)):
         dx, dy = discs[i, 0] - ego[0], discs[i, 1] - ego[1]
@@ -81,8 +84,8 @@ def _hit_static(ego: tuple[float, float, float, float, float], boxes: NDArray[An
         x = max(abs(dx * c + dy * s) - ego[3] / 2, 0.0)
         y = max(abs(dy * c - dx * s) - ego[4] / 2, 0.0)
         if x * x + y * y <= discs[i, 2] ** 2:
-            return True
-    return False
+            return len(boxes) + i
+    return -1
 
 
 def contact_ahead(ego: Ego, x: float, y: float, heading: float, length: float, width: float) -> float:
@@ -138,8 +141,20 @@ class CollisionTest:
         i = _hit_actor(box, ego.z, actors.x, actors.y, actors.z, actors.heading, actors.length, actors.width)
         if i >= 0:
             kind = "pedestrian" if actors.kind[i] == Kind.PEDESTRIAN else "vehicle"
-            ahead = contact_ahead(ego, actors.x[i], actors.y[i], actors.heading[i], actors.length[i], actors.width[i])
-            return Hit(kind, bool(moving and ahead > ego.length / 4))
-        if _hit_static(box, self._boxes, self._discs):
-            return Hit("static", moving)
-        return None
+            other = actors.x[i], actors.y[i], actors.heading[i], actors.length[i], actors.width[i]
+            contact = _side_of(ego, contact_ahead(ego, *other))
+            return Hit(kind, bool(moving and contact == "front"), contact)
+        n = _hit_static(box, self._boxes, self._discs)
+        if n < 0:
+            return None
+        if n < len(self._boxes):
+            x, y, heading, length, width = self._boxes[n]
+        else:
+            x, y, radius = self._discs[n - len(self._boxes)]
+            heading, length, width = ego.heading, 2 * radius, 2 * radius
+        return Hit("static", moving, _side_of(ego, contact_ahead(ego, x, y, heading, length, width)))
+
+
+def _side_of(ego: Ego, ahead: float) -> str:
+    """The part of the ego that lies so many metres ahead of its centre."""
+    return "front" if ahead > ego.length / 4 else "rear" if ahead < -ego.length / 4 else "side"

@@ -20,6 +20,7 @@ from me3bev_plugins.simulator.highway.collisions import CollisionTest, Hit
 from me3bev_plugins.simulator.highway.ego import EgoVehicle, longitudinal_of
 from me3bev_plugins.simulator.highway.infractions import Infractions, RoadEdge, StopLines
 from me3bev_plugins.simulator.highway.interfaces import TownAction, TownObservation
+from me3bev_plugins.simulator.highway.lane_keeping import LaneKeeping
 from me3bev_plugins.simulator.highway.maps import load_town
 from me3bev_plugins.simulator.highway.picture import camera_sheet
 from me3bev_plugins.simulator.highway.plan_view import plan_view
@@ -103,6 +104,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         self._collisions = CollisionTest(self.town)
         self._stop_lines = StopLines(self.town)
         self._edge = RoadEdge(self.town)
+        self._keeping = LaneKeeping(self.town)
         # highway-env resets once while constructing; a world that nobody has seeded yet is not worth building.
         self._ready = False
         super().__init__({"simulation_frequency": FREQUENCY, "policy_frequency": FREQUENCY}, render_mode)
@@ -158,6 +160,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         self._traffic.reset(rng, vehicles, pedestrians, self.vehicle.pose, self._tracker.path)
         self.road.populate(self.vehicle, self._tracker, self._traffic)
         self._stop_lines.reset(self.vehicle.pose)
+        self._keeping.reset()
         self.action_type.applied = (0.0, 0.0)
         self._measure(self.scene, None, Infractions(False, False))
 
@@ -172,6 +175,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         """Work out the situation and the record of the instant that has been reached."""
         ego = self.vehicle
         state = assess(scene, ego, self._tracker)
+        off_road = self._edge.off_road(ego.place, scene.ego.x, scene.ego.y)
         self.situation: Situation = state
         self._record: StepRecord = step_record(
             time=self.steps / FREQUENCY,
@@ -180,9 +184,10 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
             tracker=self._tracker,
             situation=state,
             scene=scene,
-            off_road=self._edge.off_road(ego.place, scene.ego.x, scene.ego.y),
+            off_road=off_road,
             hit=hit,
             broken=broken,
+            lane_departure=self._keeping.update(scene.ego, off_road),
             reward=reward(
                 collision=hit is not None,
                 speed=ego.speed,

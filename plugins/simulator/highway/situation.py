@@ -109,6 +109,7 @@ def step_record(
     off_road: bool,
     hit: Hit | None,
     broken: Infractions,
+    lane_departure: bool,
     reward: float,
 ) -> StepRecord:
     """The report of one step. The lateral acceleration is that of the turn: speed times yaw rate."""
@@ -136,7 +137,9 @@ def step_record(
         off_road=off_road,
         collision=hit.kind if hit else "",
         at_fault=bool(hit and hit.at_fault),
+        contact=hit.contact if hit else "",
         red_light=broken.red_light,
         stop_sign=broken.stop_sign,
+        lane_departure=lane_departure,
         reward=reward,
     )

@@ -44,12 +44,12 @@ def hit(town: Town, ego: Ego, actors: Actors) -> Hit | None:
 @pytest.mark.parametrize(
     ("place", "speed", "expected"),
     [
-        ((14.0, 0.0, 0.0), 5.0, Hit("vehicle", True)),  # ran into the car in front
-        ((6.0, 0.0, 0.0), 5.0, Hit("vehicle", False)),  # was run into from behind
-        ((14.0, 0.0, 0.0), 0.0, Hit("vehicle", False)),  # stood, and the other backed into it
-        ((9.5, 2.5, -math.pi / 2), 5.0, Hit("vehicle", False)),  # was hit in the side
+        ((14.0, 0.0, 0.0), 5.0, Hit("vehicle", True, "front")),  # ran into the car in front
+        ((6.0, 0.0, 0.0), 5.0, Hit("vehicle", False, "rear")),  # was run into from behind
+        ((14.0, 0.0, 0.0), 0.0, Hit("vehicle", False, "front")),  # stood, and the other backed into it
+        ((9.5, 2.5, -math.pi / 2), 5.0, Hit("vehicle", False, "side")),  # was hit in the side
         ((12.4, 2.5, math.pi / 2), 5.0, None),  # passed behind the one that crossed
-        ((13.0, 1.0, math.pi / 2), 5.0, Hit("vehicle", True)),  # ran into one that crossed
+        ((13.0, 1.0, math.pi / 2), 5.0, Hit("vehicle", True, "front")),  # ran into one that crossed
         ((15.0, 0.0, 0.0), 5.0, None),
     ],
 )
@@ -64,23 +64,24 @@ def test_attribution(
 
 def test_pedestrians_and_levels(town: Town, actors_of: Make) -> None:
     actors = actors_of((12.4, 0.5, 0.0, 1.0, Kind.PEDESTRIAN))
-    assert hit(town, Ego(10.0, 0.0, 0.0, 0.0, 5.0), actors) == Hit("pedestrian", True)
+    assert hit(town, Ego(10.0, 0.0, 0.0, 0.0, 5.0), actors) == Hit("pedestrian", True, "front")
     assert hit(town, Ego(10.0, 0.0, 3.0, 0.0, 5.0), actors) is None
 
 
 def test_the_nearest_of_two_counts(town: Town, actors_of: Make) -> None:
     actors = actors_of((13.9, 0.0, 0.0, 0.0, Kind.CAR), (12.0, 0.0, 0.0, 1.0, Kind.PEDESTRIAN))
-    assert hit(town, Ego(10.0, 0.0, 0.0, 0.0, 5.0), actors) == Hit("pedestrian", True)
+    assert hit(town, Ego(10.0, 0.0, 0.0, 0.0, 5.0), actors) == Hit("pedestrian", True, "front")
 
 
 def test_static_things(town: Town, actors_of: Make) -> None:
     nobody = actors_of()
     # The building reaches from y = -25 to -15 and x = 20 to 40; the pole stands at (100, 4), 0.2 m thick.
-    assert hit(town, Ego(30.0, -13.5, 0.0, math.pi / 2, 2.0), nobody) == Hit("static", True)
+    assert hit(town, Ego(30.0, -13.5, 0.0, math.pi / 2, 2.0), nobody) == Hit("static", True, "rear")
     assert hit(town, Ego(30.0, -13.5, 0.0, 0.0, 2.0), nobody) is None
-    assert hit(town, Ego(100.0, 2.86, 0.0, 0.0, 2.0), nobody) == Hit("static", True)
+    assert hit(town, Ego(100.0, 2.86, 0.0, 0.0, 2.0), nobody) == Hit("static", True, "side")
     assert hit(town, Ego(100.0, 2.84, 0.0, 0.0, 2.0), nobody) is None
-    assert hit(town, Ego(100.0, 2.86, 0.0, 0.0, 0.0), nobody) == Hit("static", False)
+    assert hit(town, Ego(100.0, 2.86, 0.0, 0.0, 0.0), nobody) == Hit("static", False, "side")
+    assert hit(town, Ego(97.6, 4.0, 0.0, 0.0, 2.0), nobody) == Hit("static", True, "front")
 
 
 def test_contact_is_the_middle_of_the_shared_area() -> None:
