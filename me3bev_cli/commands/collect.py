@@ -14,6 +14,10 @@ def collect(
     out: Annotated[Path, typer.Option(help="Folder of the MCAP files.")],
     maps: Annotated[str | None, typer.Option(help="As T1-T7 or T1,T3. Default: every map.")] = None,
     density: Annotated[str | None, typer.Option(help="As low,high. Default: low.")] = None,
+    weather: Annotated[
+        str | None,
+        typer.Option(help="As clear_noon,night or all, training, evaluation. Default: the recipe's training set."),
+    ] = None,
     driver: Annotated[str, typer.Option(help="autopilot, idle, random, or a run folder.")] = "autopilot",
     recipe: Annotated[str | None, typer.Option(help="Observation and world. Default: highway as it comes.")] = None,
     episodes: Annotated[int, typer.Option(help="For each map and density.", min=1)] = 5,
@@ -33,7 +37,8 @@ def collect(
     known = driver in REFERENCES
     plan = prepare(
         run=None if known else Path(driver), checkpoint="last", driver=driver if known else None, recipe=recipe,
-        device="auto", maps=maps, density=density, episodes=episodes, seed=seed, out=None,
+        device="auto", maps=maps, density=density, weather=weather, weather_unset="training",
+        episodes=episodes, seed=seed, out=None,
     )  # fmt: skip
     recorder = Recorder(plan.world, plan.driver, seed, out, quality)
     takes = [Take(m, d, i) for d in plan.densities for m in plan.maps for i in range(episodes)]

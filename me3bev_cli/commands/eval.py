@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 def evaluate(
     maps: Annotated[str | None, typer.Option(help="As T1-T7 or T1,T3. Default: every map.")] = None,
     density: Annotated[str | None, typer.Option(help="As low,high. Default: the recipe's.")] = None,
+    weather: Annotated[
+        str | None,
+        typer.Option(help="As clear_noon,night or all, training, evaluation. Default: the recipe's evaluation set."),
+    ] = None,
     run: Annotated[Path | None, typer.Option(help="Run or checkpoint folder. Default: the newest run.")] = None,
     checkpoint: Annotated[str, typer.Option(help="Which of the run's checkpoints.")] = "last",
     driver: Annotated[
@@ -39,7 +43,7 @@ def evaluate(
 
     evaluation = prepare(
         run=run, checkpoint=checkpoint, driver=driver, recipe=recipe, device=device,
-        maps=maps, density=density, episodes=episodes, seed=seed, out=out,
+        maps=maps, density=density, weather=weather, episodes=episodes, seed=seed, out=out,
     )  # fmt: skip
     outcome = _play(evaluation, workers)
     written = outcome.write(evaluation.out)
@@ -85,11 +89,11 @@ def _copies(outcome: Outcome, json: str | None, csv: Path | None, picture: Path 
 def _print(outcome: Outcome, evaluation: Evaluation, json: str | None, written: list[Any]) -> None:
     from rich.markup import escape
 
-    from me3bev_cli.evaluation.tables import tables
+    from me3bev_cli.evaluation.tables import tables, weather_tables
     from me3bev_cli.output import console
 
     place = console(json)
-    for headline, table in tables(outcome.rows):
+    for headline, table in [*tables(outcome.rows), *weather_tables(outcome.weather_rows)]:
         place.print(headline, style="bold", markup=False)
         place.print(table)
     place.print(f"↑ higher is better, ↓ lower; in brackets the 95 % interval. Seed {evaluation.seed}; {outcome.pace}")

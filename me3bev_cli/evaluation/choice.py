@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
-from me3bev_cli.api import ObservationConfig
-from me3bev_cli.errors import RunError, UserError, unknown_name
+from me3bev_cli.api import ObservationConfig, SimulatorPlugin
+from me3bev_cli.errors import UserError, unknown_name
 from me3bev_cli.evaluation.drivers import REFERENCES, DriverSpec
+from me3bev_cli.evaluation.maps import parse_weathers
 from me3bev_cli.evaluation.runner import World
 from me3bev_cli.recipe import PluginChoice, Recipe
 from me3bev_cli.recipe_loading import resolve_recipe
-from me3bev_cli.training.run import newest_run, open_run, runs_root
+from me3bev_cli.training.run import open_run, require_newest_run, runs_root
 
 SIMULATOR = "highway"
 """What reference drivers drive in when no recipe says otherwise."""
@@ -47,6 +49,27 @@ def world_of(recipe: Recipe | None) -> World:
     return World(PluginChoice(name=recipe.simulator.name, **recipe.simulator.settings), recipe.observation)
 
 
+def choose_weather(
+    option: str | None, simulator: SimulatorPlugin, recipe: Recipe | None, unset: Literal["training", "evaluation"]
+) -> tuple[str, ...]:
+    """What `--weather` names; without it the recipe's `unset` set, or the default weather where there is no recipe.
+
+    Raises:
+        MapError: it names what is not there.
+    """
+    available = simulator.weathers()
+    sets: dict[str, tuple[str, ...]] = {}
+    if recipe is not None:
+        default = available[:1]
+        sets = {
+            "training": recipe.weather.training or default,
+            "evaluation": recipe.weather.evaluation or default,
+        }
+    if option is None:
+        return sets.get(unset, available[:1])
+    return tuple(parse_weathers(option, available, sets))
+
+
 def reference_or_run(driver: str) -> tuple[str | None, Path | None]:
     """What `--driver NAME|RUN` means: (a reference driver, None), or (None, the path of a run).
 
@@ -81,10 +104,4 @@ def _policy_folder(run: Path | None) -> Path:
         # A checkpoint folder can stand alone: it holds its own recipe.
         is_checkpoint = (run / "recipe.yaml").is_file() and (run / "policy.safetensors").is_file()
         return run if is_checkpoint else open_run(run)
-    newest = newest_run()
-    if newest is None:
-        raise RunError(
-            f"there is no run under {runs_root()}",
-            hint="`me3bev train RECIPE` makes one; `--driver autopilot` needs none",
-        )
-    return newest
+    return require_newest_run()

@@ -17,7 +17,7 @@ from me3bev_cli.api import StepRecord
 from me3bev_cli.errors import LogError, PluginError
 from me3bev_cli.files import atomic_write_bytes
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file format, kept in the header."""
 
 COLLISIONS = ("", "vehicle", "pedestrian", "static")
@@ -40,7 +40,7 @@ class Episode:
     """One drive.
 
     Args:
-        map, density: where.
+        map, density, weather: where.
         seed: what the environment was reset with.
         index: of the episode within its cell of map and density.
         driver: who drove.
@@ -50,6 +50,7 @@ class Episode:
 
     map: str
     density: str
+    weather: str
     seed: int
     index: int
     driver: str
@@ -98,7 +99,15 @@ def ending(records: Sequence[StepRecord], *, terminated: bool) -> Ending:
 
 
 def from_records(
-    records: Sequence[StepRecord], *, map: str, density: str, seed: int, index: int, driver: str, ended: Ending
+    records: Sequence[StepRecord],
+    *,
+    map: str,
+    density: str,
+    weather: str,
+    seed: int,
+    index: int,
+    driver: str,
+    ended: Ending,
 ) -> Episode:
     """The episode of what an environment reported.
 
@@ -119,7 +128,7 @@ def from_records(
     if odd:
         names = ", ".join(repr(name) for name in COLLISIONS)
         raise PluginError(f"the simulator reports the collision '{min(odd)}'", allowed=names)
-    return Episode(map, density, seed, index, driver, ended, steps)
+    return Episode(map, density, weather, seed, index, driver, ended, steps)
 
 
 def load(path: Path) -> Episode:

@@ -1,9 +1,9 @@
-"""Names of maps and densities as a command takes them: lists, ranges, all."""
+"""Names of maps, densities and kinds of weather as a command takes them: lists, ranges, all."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from me3bev_cli.errors import MapError, unknown_name
 
@@ -29,6 +29,31 @@ def parse_densities(text: str, available: Sequence[str], where: str = "--density
     names: list[str] = []
     for part in _parts(text, where):
         names.extend(available if part == "all" else [_known("density", part, available, where)])
+    return list(dict.fromkeys(names))
+
+
+SETS = ("training", "evaluation")
+"""A recipe's sets of weather, as `--weather` names them."""
+
+
+def parse_weathers(
+    text: str, available: Sequence[str], sets: Mapping[str, Sequence[str]], where: str = "--weather"
+) -> list[str]:
+    """`clear_noon,night`, `all`, `training`, `evaluation` or a mixture -> names, each once, in the order written.
+
+    Args:
+        sets: what the names of `SETS` stand for; empty without a recipe.
+
+    Raises:
+        MapError: a name that is not available, a set without a recipe, or nothing at all.
+    """
+    names: list[str] = []
+    for part in _parts(text, where):
+        if part in SETS and part not in sets and part not in available:
+            hint = "Give --recipe or --run, or name the weather"
+            raise MapError(f"there is no recipe that has a set for {part}", where=where, hint=hint)
+        known = [*available, *sets, "all"]
+        names.extend(sets.get(part) or (available if part == "all" else [_known("weather", part, known, where)]))
     return list(dict.fromkeys(names))
 
 

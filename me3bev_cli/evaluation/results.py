@@ -1,7 +1,7 @@
 """An evaluation's folder.
 
 OUT/
-    results.json   what was evaluated, how each metric is defined, the rows
+    results.json   what was evaluated, how each metric is defined, the rows; and by weather where there are several
     results.csv    the rows
     results.png    bars with intervals, and what the cameras saw
     episodes/      one log per episode: metrics can be computed from them again
@@ -19,12 +19,12 @@ from typing import Any
 from me3bev_cli.errors import UserError
 from me3bev_cli.evaluation.episode import Episode
 from me3bev_cli.evaluation.metrics import METRICS
-from me3bev_cli.evaluation.summary import LEVEL, RESAMPLES, Row
+from me3bev_cli.evaluation.summary import LEVEL, RESAMPLES, Row, WeatherRow
 
 JSON, CSV, PICTURE, EPISODES = "results.json", "results.csv", "results.png", "episodes"
 
 
-def document(setup: dict[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
+def document(setup: dict[str, Any], rows: Sequence[Row], weather_rows: Sequence[WeatherRow]) -> dict[str, Any]:
     """What `results.json` holds. Nothing in it depends on when or how fast it was made."""
     definitions = {
         name: {
@@ -37,7 +37,13 @@ def document(setup: dict[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
         for name, metric in METRICS.items()
     }
     interval = f"{LEVEL:.0%} percentile bootstrap, {RESAMPLES} resamples within each map"
-    return {**setup, "interval": interval, "metrics": definitions, "rows": [asdict(row) for row in rows]}
+    return {
+        **setup,
+        "interval": interval,
+        "metrics": definitions,
+        "rows": [asdict(row) for row in rows],
+        "by_weather": [asdict(row) for row in weather_rows],
+    }
 
 
 def refuse_foreign(out: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from me3bev_cli import registry
+from me3bev_cli.errors import PluginError
 from me3bev_cli.evaluation.drivers import Driver, DriverSpec
 from me3bev_cli.evaluation.episode import Episode, ending, from_records
 from me3bev_cli.parallel import run_jobs
@@ -40,6 +41,8 @@ class World:
 
     simulator: PluginChoice
     observation: ObservationConfig
+    weather: tuple[str, ...] | None = None
+    """Each episode draws one of these by its seed; None: the simulator's default one."""
 
     def open(self) -> SimulatorPlugin:
         """The simulator.
@@ -68,6 +71,7 @@ class Snapshot:
 
     map: str
     density: str
+    weather: str
     step: int
     cameras: tuple[str, ...]
     images: NDArray[np.uint8]
@@ -104,19 +108,22 @@ class Player:
 
     def _make(self, job: Job, images: bool) -> gymnasium.Env[Any, Any]:
         assert self._simulator is not None
-        return self._simulator.make_env(self.world.observation, map=job.map, density=job.density, images=images)
+        return self._simulator.make_env(
+            self.world.observation, map=job.map, density=job.density, weather=self.world.weather, images=images
+        )
 
     def _episode(self, env: gymnasium.Env[Any, Any], driver: Driver, job: Job, index: int) -> Episode:
         seed = episode_seed(self.seed, job.map, job.density, index)
-        records, terminated = drive(env, driver, seed)
+        driven = drive(env, driver, seed)
         return from_records(
-            records,
+            driven.records,
             map=job.map,
             density=job.density,
+            weather=driven.weather,
             seed=seed,
             index=index,
             driver=self.spec.label,
-            ended=ending(records, terminated=terminated),
+            ended=ending(driven.records, terminated=driven.terminated),
         )
 
     def _snapshot(self, job: Job, index: int) -> Snapshot:
@@ -124,7 +131,7 @@ class Player:
         assert self._driver is not None
         seed = episode_seed(self.seed, job.map, job.density, index)
         with closing(self._make(job, images=True)) as env:
-            seen, _ = env.reset(seed=seed)
+            seen, info = env.reset(seed=seed)
             self._driver.begin(env, seed)
             step, over = 0, False
             while step < SNAPSHOT_STEP and not over:
@@ -132,19 +139,45 @@ class Player:
                 step, over = step + 1, terminated or truncated
             bev = np.array(env.unwrapped.bev_semantics())  # type: ignore[attr-defined]
             images = np.array(seen["images"])
-        return Snapshot(job.map, job.density, step, self.world.observation.cameras, images, bev)
+        return Snapshot(job.map, job.density, weather_of(info), step, self.world.observation.cameras, images, bev)
 
 
-def drive(env: gymnasium.Env[Any, Any], driver: Driver, seed: int) -> tuple[list[StepRecord], bool]:
-    """Play one episode; returns its records and whether the environment terminated it."""
-    observation, _ = env.reset(seed=seed)
+class Drive(NamedTuple):
+    """What an environment reported of one episode."""
+
+    records: list[StepRecord]
+    terminated: bool
+    """Whether the environment ended it, rather than the horizon."""
+    weather: str
+
+
+def weather_of(info: Mapping[str, Any]) -> str:
+    """The episode's weather, from what an environment reports at its reset.
+
+    Raises:
+        PluginError: it is not there.
+    """
+    weather = info.get("weather")
+    if not isinstance(weather, str):
+        raise PluginError("the simulator's info['weather'] is not the name of the episode's weather")
+    return weather
+
+
+def drive(env: gymnasium.Env[Any, Any], driver: Driver, seed: int) -> Drive:
+    """Play one episode.
+
+    Raises:
+        PluginError: the simulator does not say which weather it has.
+    """
+    observation, info = env.reset(seed=seed)
+    weather = weather_of(info)
     driver.begin(env, seed)
     records: list[StepRecord] = []
     while True:
         observation, _, terminated, truncated, info = env.step(driver.act(observation, env))
         records.append(info["record"])
         if terminated or truncated:
-            return records, terminated
+            return Drive(records, terminated, weather)
 
 
 def plan(maps: Sequence[str], densities: Sequence[str], episodes: int, snapshot: bool = False) -> list[Job]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from me3bev_cli import __version__
-from me3bev_cli.evaluation.choice import choose_driver, world_of
+from me3bev_cli.evaluation.choice import choose_driver, choose_weather, world_of
 from me3bev_cli.evaluation.drivers import DriverSpec
 from me3bev_cli.evaluation.episode import Episode
 from me3bev_cli.evaluation.maps import parse_densities, parse_maps, shorten
@@ -17,7 +17,7 @@ from me3bev_cli.evaluation.progress import EvaluationProgress
 from me3bev_cli.evaluation.results import CSV, JSON, PICTURE, document, refuse_foreign, save_episodes
 from me3bev_cli.evaluation.runner import Player, Snapshot, World, plan
 from me3bev_cli.evaluation.runner import evaluate as run_evaluation
-from me3bev_cli.evaluation.summary import Row, summarise
+from me3bev_cli.evaluation.summary import Row, WeatherRow, by_weather, summarise
 from me3bev_cli.evaluation.tables import csv_text
 from me3bev_cli.files import atomic_write_bytes, atomic_write_text
 from me3bev_cli.output import write_json
@@ -43,6 +43,11 @@ class Evaluation:
         """Episodes in all."""
         return len(self.maps) * len(self.densities) * self.episodes
 
+    @property
+    def weather(self) -> tuple[str, ...]:
+        """Each episode draws one of these by its seed."""
+        return self.world.weather or ()
+
     def setup(self) -> dict[str, Any]:
         """What `results.json` says about where its rows come from."""
         run = self.driver.run
@@ -59,6 +64,7 @@ class Evaluation:
             "observation": self.world.observation.model_dump(mode="json"),
             "maps": list(self.maps),
             "densities": list(self.densities),
+            "weather": list(self.weather),
             "episodes": self.episodes,
             "seed": self.seed,
         }
@@ -73,11 +79,16 @@ def prepare(
     device: str,
     maps: str | None,
     density: str | None,
+    weather: str | None,
     episodes: int,
     seed: int,
     out: Path | None,
+    weather_unset: Literal["training", "evaluation"] = "evaluation",
 ) -> Evaluation:
     """Check every option before anything is driven.
+
+    Args:
+        weather_unset: the recipe's set of weather that stands for an open `weather`.
 
     Raises:
         UserError: any of them is wrong, or there is neither a run nor a driver.
@@ -89,9 +100,16 @@ def prepare(
     chosen_maps = parse_maps(maps, known_maps) if maps is not None else list(known_maps)
     default = loaded.simulator.density if loaded else known_densities[0]
     chosen_densities = parse_densities(default if density is None else density, known_densities)
+    usual, chosen_weather = (choose_weather(w, simulator, loaded, weather_unset) for w in (None, weather))
     if out is None:
-        out = _folder(spec, loaded, checkpoint) / f"{shorten(chosen_maps)}-{shorten(chosen_densities)}"
+        parts = [shorten(chosen_maps), shorten(chosen_densities)]
+        if chosen_weather != usual:
+            parts.append(
+                "all-weather" if set(chosen_weather) == set(simulator.weathers()) else ",".join(chosen_weather)
+            )
+        out = _folder(spec, loaded, checkpoint) / "-".join(parts)
     refuse_foreign(out)
+    world = replace(world, weather=chosen_weather)
     return Evaluation(world, spec, tuple(chosen_maps), tuple(chosen_densities), episodes, seed, out)
 
 
@@ -111,6 +129,8 @@ class Outcome:
     setup: dict[str, Any]
     episodes: Sequence[Episode]
     rows: Sequence[Row]
+    weather_rows: Sequence[WeatherRow]
+    """Empty where all episodes have the same weather."""
     snapshot: Snapshot | None
     pace: str
     """How long it took, for people."""
@@ -118,7 +138,7 @@ class Outcome:
     @cached_property
     def document(self) -> dict[str, Any]:
         """What `results.json` holds."""
-        return document(self.setup, self.rows)
+        return document(self.setup, self.rows, self.weather_rows)
 
     @cached_property
     def csv(self) -> str:
@@ -150,4 +170,5 @@ def play(evaluation: Evaluation, workers: int, progress: EvaluationProgress) -> 
     episodes, snapshot = run_evaluation(player, jobs, workers, progress.add, progress.died)
     steps = sum(len(episode) for episode in episodes)
     pace = f"{steps:,} steps in {progress.seconds:.1f} s ({steps / progress.seconds:.0f} per s), {workers} workers"
-    return Outcome(evaluation.setup(), episodes, summarise(episodes), snapshot, pace)
+    weather_rows = by_weather(episodes, evaluation.weather) if len(evaluation.weather) > 1 else []
+    return Outcome(evaluation.setup(), episodes, summarise(episodes), weather_rows, snapshot, pace)

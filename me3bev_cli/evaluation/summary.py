@@ -39,6 +39,22 @@ class Row:
     """Episodes that the figure rests on."""
 
 
+@dataclass(frozen=True)
+class WeatherRow(Row):
+    """One figure of the episodes that had one kind of weather."""
+
+    weather: str
+
+
+def by_weather(episodes: Sequence[Episode], weathers: Sequence[str]) -> list[WeatherRow]:
+    """The rows of `summarise` for each kind of weather on its own, in the order given."""
+    return [
+        WeatherRow(**vars(row), weather=weather)
+        for weather in weathers
+        for row in summarise([episode for episode in episodes if episode.weather == weather])
+    ]
+
+
 def summarise(episodes: Sequence[Episode]) -> list[Row]:
     """Rows for every method, density, metric and map, and the average over the maps where there are several.
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from me3bev_cli.evaluation.metrics import METRICS, PAPER, Metric
-from me3bev_cli.evaluation.summary import AVERAGE, Row
+from me3bev_cli.evaluation.summary import AVERAGE, Row, WeatherRow
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -25,7 +25,21 @@ def tables(rows: Sequence[Row]) -> list[tuple[str, Table]]:
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row.method, row.density), []).append(row)
-    return [(_headline(*key, group), _table(group)) for key, group in groups.items()]
+    return [(_headline(*key, group), _map_table(group)) for key, group in groups.items()]
+
+
+def weather_tables(rows: Sequence[WeatherRow]) -> list[tuple[str, Table]]:
+    """A headline and a table of metrics x kinds of weather per method and density, each over all of its maps."""
+    groups: dict[tuple[str, str], dict[str, dict[str, Row]]] = {}
+    for row in rows:
+        # The average follows the maps that it is made of, so the last row of a metric is the one over all maps.
+        groups.setdefault((row.method, row.density), {}).setdefault(row.weather, {})[row.metric] = row
+    found = []
+    for (method, density), columns in groups.items():
+        titled = {f"{weather}\n({column[PAPER[0]].n})": column for weather, column in columns.items()}
+        headline = f"{method}, {density} density, by weather (episodes)"
+        found.append((headline, _table(titled, titled if len(titled) <= WITH_INTERVALS else ())))
+    return found
 
 
 def _headline(method: str, density: str, rows: Sequence[Row]) -> str:
@@ -35,27 +49,33 @@ def _headline(method: str, density: str, rows: Sequence[Row]) -> str:
     return f"{method}, {density} density, {many} episode{'s' if max(counts) > 1 else ''}{each}"
 
 
-def _table(rows: Sequence[Row]) -> Table:
+def _map_table(rows: Sequence[Row]) -> Table:
+    columns: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        columns.setdefault(row.map, {})[row.metric] = row
+    return _table(columns, columns if len(columns) <= WITH_INTERVALS else (AVERAGE,))
+
+
+def _table(columns: Mapping[str, Mapping[str, Row]], with_intervals: Collection[str]) -> Table:
+    """Metrics x columns; each column's rows by metric."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
 
-    maps = list(dict.fromkeys(row.map for row in rows))
-    found = {(row.map, row.metric): row for row in rows}
     # No lines between columns: seven maps and the average fit 100 columns.
     table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("metric", no_wrap=True)
-    for map in maps:
-        table.add_column(escape(map), justify="right", no_wrap=True, style="bold" if map == AVERAGE else None)
+    for title in columns:
+        table.add_column(escape(title), justify="right", no_wrap=True, style="bold" if title == AVERAGE else None)
     for name, metric in METRICS.items():
-        line = [found[map, name] for map in maps]
-        decimals = _decimals(line, metric)
-        cells = [_cell(row, decimals, len(maps) <= WITH_INTERVALS or row.map == AVERAGE) for row in line]
+        line = {title: column[name] for title, column in columns.items()}
+        decimals = _decimals(line.values(), metric)
+        cells = [_cell(row, decimals, title in with_intervals) for title, row in line.items()]
         table.add_row(f"{metric.label} {ARROWS[metric.direction]}", *cells, end_section=name == PAPER[-1])
     return table
 
 
-def _decimals(line: Sequence[Row], metric: Metric) -> int:
+def _decimals(line: Iterable[Row], metric: Metric) -> int:
     """Three figures of the line's largest are enough for people; files have them all."""
     largest = max((abs(row.mean) for row in line if not math.isnan(row.mean)), default=0.0)
     return max(0, min(metric.digits, 3 - len(f"{largest:.0f}")))

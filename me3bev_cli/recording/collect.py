@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from numpy.typing import NDArray
+
 from me3bev_cli.api import SimulatorPlugin
+from me3bev_cli.errors import LogError
 from me3bev_cli.evaluation.drivers import Driver, DriverSpec
-from me3bev_cli.evaluation.runner import World
+from me3bev_cli.evaluation.runner import World, weather_of
 from me3bev_cli.parallel import run_jobs
+from me3bev_cli.recording.reader import read_metadata
 from me3bev_cli.recording.writer import EpisodeWriter
 from me3bev_cli.seeding import derive_seed
 from me3bev_cli.training.run import versions
@@ -45,28 +49,47 @@ class Recorder:
         self._simulator = self._simulator or self.world.open()
         self._driver = self._driver or self.spec.make()
         observation = self.world.observation
-        env = self._simulator.make_env(observation, map=take.place, density=take.density)
-        seed = derive_seed("collection", self.seed, *take)
-        metadata = {
+        env = self._simulator.make_env(observation, map=take.place, density=take.density, weather=self.world.weather)
+        with closing(env):
+            seed = self.episode_seed(take)
+            first, info = env.reset(seed=seed)
+            self._driver.begin(env, seed)
+            numbers = {f"version.{name}": number for name, number in versions().items()}
+            metadata = {**self.identity(take), "weather": weather_of(info), **numbers}
+            rig = self._simulator.rig(observation)
+            with EpisodeWriter(take.path(self.folder), rig, metadata, self.quality) as writer:
+                return record(env, self._driver, writer, first)
+
+    def episode_seed(self, take: Take) -> int:
+        """What the environment of a take is reset with: the same in any weather."""
+        return derive_seed("collection", self.seed, *take)
+
+    def identity(self, take: Take) -> dict[str, str]:
+        """What decides a take, as kept in its file."""
+        return {
             "driver": self.spec.label,
             "recipe": self.spec.recipe.name if self.spec.recipe else "",
             "map": take.place,
             "density": take.density,
+            "weathers": ",".join(self.world.weather or ()),
             "index": str(take.number),
-            "seed": str(seed),
-            **{f"version.{name}": number for name, number in versions().items()},
+            "seed": str(self.episode_seed(take)),
         }
-        with (
-            closing(env),
-            EpisodeWriter(take.path(self.folder), self._simulator.rig(observation), metadata, self.quality) as writer,
-        ):
-            return record(env, self._driver, writer, seed)
+
+    def refuse_foreign(self, take: Take) -> None:
+        """Raises LogError when the take's file holds another episode, so that collections are not mixed up."""
+        path = take.path(self.folder)
+        found = read_metadata(path)
+        for key, value in self.identity(take).items():
+            if found.get(key, value) != value:
+                raise LogError(
+                    f"{path} belongs to another collection: its {key} is '{found[key]}', not '{value}'",
+                    hint="Choose another folder, or remove the file",
+                )
 
 
-def record(env: Any, driver: Driver, writer: EpisodeWriter, seed: int) -> int:
-    """Drive one episode and write its steps; returns how many there were."""
-    observation, _ = env.reset(seed=seed)
-    driver.begin(env, seed)
+def record(env: Any, driver: Driver, writer: EpisodeWriter, observation: Mapping[str, NDArray[Any]]) -> int:
+    """Drive the episode that begins with `observation` and write its steps; returns how many there were."""
     steps, done = 0, False
     while not done:
         bev = env.unwrapped.bev_semantics()
@@ -88,11 +111,17 @@ def collect(
     """Record what is not there yet; returns the number of files written.
 
     A file under its final name is whole, so a collection that was cut off goes on where it stopped.
+
+    Raises:
+        LogError: a file of a take is there but holds another episode, or is damaged.
     """
     recorder.folder.mkdir(parents=True, exist_ok=True)
     for part in recorder.folder.glob(".*.mcap.part"):
         part.unlink()
-    missing = [take for take in takes if not take.path(recorder.folder).exists()]
+    there = {take for take in takes if take.path(recorder.folder).exists()}
+    for take in sorted(there):
+        recorder.refuse_foreign(take)
+    missing = [take for take in takes if take not in there]
 
     def report(index: int, steps: int) -> None:
         if shown is not None:

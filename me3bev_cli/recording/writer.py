@@ -57,7 +57,7 @@ class EpisodeWriter:
     Args:
         path: the file to make.
         rig: the cameras, in the order of the images.
-        metadata: recipe, map, density, seed, versions; kept in the file.
+        metadata: recipe, map, density, weather, seed, versions; kept in the file.
         quality: of JPEG, 1 to 100; 0 writes lossless PNG.
     """
 

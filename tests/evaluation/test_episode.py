@@ -20,7 +20,7 @@ def records(steps: int = 5) -> list[StepRecord]:
     return [env.step(np.zeros(2))[4]["record"] for _ in range(steps)]
 
 
-NAMES = {"map": "M1", "density": "low", "seed": 3, "index": 0, "driver": "idle"}
+NAMES = {"map": "M1", "density": "low", "weather": "dry", "seed": 3, "index": 0, "driver": "idle"}
 
 
 def test_columns_are_the_records() -> None:
@@ -85,14 +85,14 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="there is no such log"):
         load(path)
     np.savez(path, header=np.array('{"format": 99}'), steps=np.zeros(3))
-    with pytest.raises(LogError, match=r"a format that this version does not read\. Allowed: 1"):
+    with pytest.raises(LogError, match=r"a format that this version does not read\. Allowed: 2"):
         load(path)
-    np.savez(path, header=np.array('{"format": 1, "ended": "timeout"}'), steps=np.zeros(3))
+    np.savez(path, header=np.array('{"format": 2, "ended": "timeout"}'), steps=np.zeros(3))
     with pytest.raises(LogError, match="does not hold an episode's steps"):
         load(path)
-    np.savez(path, header=np.array('{"format": 1, "ended": "timeout"}'), steps=np.zeros(3, STEP_DTYPE))
+    np.savez(path, header=np.array('{"format": 2, "ended": "timeout"}'), steps=np.zeros(3, STEP_DTYPE))
     with pytest.raises(LogError, match="header is not an episode's"):
         load(path)
-    np.savez(path, header=np.array([{"format": 1}], dtype=object), steps=np.zeros(3))
+    np.savez(path, header=np.array([{"format": 2}], dtype=object), steps=np.zeros(3))
     with pytest.raises(LogError, match="damaged"):
         load(path)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from statistics import mean
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
 
-from me3bev_cli.evaluation.episode import load
+from me3bev_cli.evaluation.episode import Episode, load
 from me3bev_cli.evaluation.metrics import METRICS, measure
 from me3bev_cli.main import app
 
@@ -51,11 +53,12 @@ def test_it_ends_with_a_table_and_files(recipe: Path, tmp_path: Path) -> None:
     assert report["simulator_settings"] == {"horizon": 40}
     assert set(report["metrics"]) == set(METRICS)
     assert set(report["rows"][0]) == {"method", "map", "density", "metric", "mean", "low", "high", "n"}
+    assert (report["weather"], report["by_weather"]) == (["dry"], [])
     # The rows follow from the logs.
     logs = [load(path) for path in sorted((out / "episodes").glob("M1-*.npz"))]
-    mean = sum(measure(log)["timesteps"] for log in logs) / 3
+    found = sum(measure(log)["timesteps"] for log in logs) / 3
     (row,) = [r for r in report["rows"] if (r["map"], r["metric"]) == ("M1", "timesteps")]
-    assert row["mean"] == pytest.approx(mean)
+    assert row["mean"] == pytest.approx(found)
     assert row["n"] == 3
 
 
@@ -88,6 +91,55 @@ def test_an_untrained_policy_drives(recipe: Path) -> None:
     assert "untrained-by-script, high density, 1 episode" in result.stdout
 
 
+def results(out: Path) -> tuple[dict[str, Any], list[Episode]]:
+    return json.loads((out / "results.json").read_text()), [load(path) for path in sorted(out.glob("episodes/*.npz"))]
+
+
+def test_several_kinds_of_weather_are_drawn_and_scored_apart(recipe: Path, tmp_path: Path) -> None:
+    options = ("--driver", "idle", "--recipe", recipe, "--maps", "M1,M2", "--workers", 0, "--episodes", 8)
+    result = run(*options, "--weather", "all")
+    assert result.exit_code == 0, result.output
+    report, logs = results(tmp_path / "runs" / "eval" / "idle-by-script" / "M1,M2-high-all-weather")
+    assert report["weather"] == ["dry", "wet", "white"]
+    assert {log.weather for log in logs} == {"dry", "wet", "white"}
+    assert "idle, high density, 8 episodes per map" in result.stdout
+    assert "idle, high density, by weather (episodes)" in result.stdout
+    wet = [log for log in logs if log.weather == "wet"]
+    (row,) = [
+        row
+        for row in report["by_weather"]
+        if (row["weather"], row["map"], row["metric"]) == ("wet", "average", "timesteps")
+    ]
+    means = [mean(len(log) for log in wet if log.map == map) for map in ("M1", "M2")]
+    assert (row["mean"], row["n"]) == (pytest.approx(mean(means)), len(wet))
+    # The rows by map and density are those of all episodes, as ever.
+    assert sum(row["n"] for row in report["rows"] if (row["map"], row["metric"]) == ("M1", "timesteps")) == 8
+
+
+def test_the_same_drives_are_paired_over_weather(recipe: Path, tmp_path: Path) -> None:
+    drives = []
+    for weather in ("dry", "white", "white,wet"):
+        out = tmp_path / weather
+        options = ("--driver", "random", "--recipe", recipe, "--maps", "M1", "--workers", 0, "--episodes", 4)
+        assert run(*options, "--weather", weather, "--out", out).exit_code == 0
+        drives.append([(log.seed, log.steps.tobytes()) for log in results(out)[1]])
+    assert drives[0] == drives[1] == drives[2]
+
+
+def test_the_recipes_sets_are_used(recipe: Path, tmp_path: Path) -> None:
+    recipe.write_text(RECIPE + "weather: {training: [wet], evaluation: [white, dry]}\n")
+    options = ("--driver", "idle", "--recipe", recipe, "--maps", "M1", "--workers", 0, "--episodes", 1)
+    for given, found, name in (
+        ((), ["white", "dry"], "M1-high"),
+        (("--weather", "evaluation"), ["white", "dry"], "M1-high"),
+        (("--weather", "training"), ["wet"], "M1-high-wet"),
+        (("--weather", "training,dry"), ["wet", "dry"], "M1-high-wet,dry"),
+    ):
+        assert run(*options, *given).exit_code == 0
+        out = tmp_path / "runs" / "eval" / "idle-by-script" / name
+        assert results(out)[0]["weather"] == found
+
+
 def test_evaluating_again_replaces_the_logs(recipe: Path, tmp_path: Path) -> None:
     options = ("--driver", "idle", "--recipe", recipe, "--maps", "M1", "--workers", 0, "--out", tmp_path / "out")
     assert run(*options, "--episodes", 3).exit_code == 0
@@ -99,7 +151,7 @@ def test_evaluating_again_replaces_the_logs(recipe: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("", "there is no run under {tmp}/runs. `me3bev train RECIPE` makes one; `--driver autopilot` needs none"),
+        ("", "there is no run under {tmp}/runs. `me3bev train RECIPE` makes one, or name it"),
         ("--run nowhere", "nowhere is not a run folder"),
         ("--driver autopilt", "--driver: unknown driver 'autopilt'; did you mean 'autopilot'"),
         ("--driver idle --episodes 0", "--episodes: 0 is too few"),
@@ -111,6 +163,15 @@ def test_evaluating_again_replaces_the_logs(recipe: Path, tmp_path: Path) -> Non
         (
             "--driver idle --recipe by-script.yaml --density hgih",
             "--density: unknown density 'hgih'; did you mean 'high'",
+        ),
+        (
+            "--driver idle --recipe by-script.yaml --weather dyr",
+            "--weather: unknown weather 'dyr'; did you mean 'dry'?",
+        ),
+        ("--driver idle --recipe by-script.yaml --weather ,", "--weather: no name is given"),
+        (
+            "--driver idle --weather training",
+            "--weather: there is no recipe that has a set for training. Give --recipe or --run, or name the weather",
         ),
         ("--driver idle --recipe by-script.yaml --out .", "holds something other than an evaluation"),
         ("--driver idle --recipe by-script.yaml --out by-script.yaml", "is not a folder"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from me3bev_cli.errors import MapError
-from me3bev_cli.evaluation.maps import parse_densities, parse_maps, shorten
+from me3bev_cli.evaluation.maps import parse_densities, parse_maps, parse_weathers, shorten
 
 TOWNS = [*(f"T{i}" for i in range(1, 8)), "Town01", "Town02", "old-town", "A-1"]
 
@@ -42,6 +42,18 @@ def test_wrong_maps(text: str, message: str) -> None:
     with pytest.raises(MapError) as caught:
         parse_maps(text, TOWNS)
     assert message in str(caught.value)
+
+
+def test_weathers() -> None:
+    names = ("clear", "night", "fog")
+    sets = {"training": ("clear",), "evaluation": ("fog", "clear")}
+    assert parse_weathers("night, clear", names, {}) == ["night", "clear"]
+    assert parse_weathers("all", names, {}) == list(names)
+    assert parse_weathers("evaluation,night,training", names, sets) == ["fog", "clear", "night"]
+    with pytest.raises(MapError, match=r"^--weather: unknown weather 'trainign'; did you mean 'training'\?"):
+        parse_weathers("trainign", names, sets)
+    with pytest.raises(MapError, match="there is no recipe that has a set for training"):
+        parse_weathers("training", names, {})
 
 
 def test_densities() -> None:

@@ -69,11 +69,11 @@ def test_progress_hears_of_every_episode(scripted: None) -> None:
 
 def test_reference_drivers(scripted: None) -> None:
     env = ScriptedEnv("M1", 50, images=False)
-    records, _ = drive(env, Idle(), 5)
+    records = drive(env, Idle(), 5).records
     assert {(r["steering"], r["longitudinal"]) for r in records} == {(0.0, 0.0)}
-    records, _ = drive(env, Autopilot(), 5)
+    records = drive(env, Autopilot(), 5).records
     assert {(r["steering"], r["longitudinal"]) for r in records} == {(0.0, 1.0)}
-    first, second, other = (drive(env, Random(), seed)[0] for seed in (5, 5, 6))
+    first, second, other = (drive(env, Random(), seed).records for seed in (5, 5, 6))
     assert first == second
     assert first != other
     actions = np.array([(r["steering"], r["longitudinal"]) for r in first])

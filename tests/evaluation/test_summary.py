@@ -12,8 +12,8 @@ from episodes import episode
 
 from me3bev_cli.evaluation.episode import Episode
 from me3bev_cli.evaluation.metrics import METRICS
-from me3bev_cli.evaluation.summary import AVERAGE, Row, interval, resampled_means, summarise
-from me3bev_cli.evaluation.tables import csv_text, tables
+from me3bev_cli.evaluation.summary import AVERAGE, Row, by_weather, interval, resampled_means, summarise
+from me3bev_cli.evaluation.tables import csv_text, tables, weather_tables
 
 
 def drives(map: str, rewards: list[float], **columns: object) -> list[Episode]:
@@ -123,3 +123,36 @@ def test_csv_has_the_rows() -> None:
         assert (line["mean"] == "") == math.isnan(found.mean)
         if line["mean"]:
             assert float(line["mean"]) == found.mean
+
+
+def test_weathers_are_summed_up_apart() -> None:
+    noon = drives("T1", [1, 3], weather="noon") + drives("T2", [5, 7], weather="noon")
+    fog = drives("T1", [10], weather="fog")
+    rows = by_weather([*fog, *noon], ["noon", "fog", "rain"])
+    assert list(dict.fromkeys(r.weather for r in rows)) == ["noon", "fog"]
+    found = {(r.weather, r.map): (r.mean, r.n) for r in rows if r.metric == "return_per_step"}
+    assert found == {
+        ("noon", "T1"): (2, 2),
+        ("noon", "T2"): (6, 2),
+        ("noon", AVERAGE): (4, 4),
+        ("fog", "T1"): (10, 1),
+    }
+
+
+def test_the_table_of_six_weathers_fits_a_terminal() -> None:
+    from rich.console import Console
+
+    names = ("clear_noon", "cloudy", "dusk", "night", "rain", "fog")
+    episodes = [e for name in names for e in drives("T1", [-1, -234.5], weather=name) + drives("T2", [5], weather=name)]
+    console = Console(file=io.StringIO(), width=100)
+    ((headline, table),) = weather_tables(by_weather(episodes, names))
+    console.print(table)
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert headline == "me, low density, by weather (episodes)"
+    assert max(map(len, lines)) <= 100
+    assert "…" not in "".join(lines)
+    assert lines[0].split() == list(names)
+    assert lines[1].split() == ["metric", *["(3)"] * 6]
+    (shown,) = [line for line in lines if line.startswith("return per step")]
+    # The mean of the maps' means: (-117.75 + 5) / 2.
+    assert shown.split()[-6:] == ["-56.4"] * 6

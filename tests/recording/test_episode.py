@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from me3bev_cli.recording.reader import episode_files, read_metadata, read_steps
 from me3bev_cli.recording.writer import EpisodeWriter
 
 OBSERVATION = ObservationConfig(height=16, width=32)
+AUTOPILOT = DriverSpec("autopilot", "autopilot")
 
 
 def write(folder: Path, quality: int = 0) -> Path:
@@ -28,7 +30,7 @@ def write(folder: Path, quality: int = 0) -> Path:
     env = simulator.make_env(OBSERVATION, map="F1", density="low")
     path = Take("F1", "low", 0).path(folder)
     with EpisodeWriter(path, simulator.rig(OBSERVATION), {"map": "F1"}, quality) as writer:
-        record(env, Autopilot(), writer, seed=5)
+        record(env, Autopilot(), writer, env.reset(seed=5)[0])
     return path
 
 
@@ -112,13 +114,13 @@ def test_a_failed_episode_leaves_no_file(tmp_path: Path) -> None:
         pytest.raises(RuntimeError, match="driver broke"),
         EpisodeWriter(tmp_path / "a.mcap", simulator.rig(OBSERVATION), {}) as writer,
     ):
-        record(env, Broken(), writer, seed=1)
+        record(env, Broken(), writer, env.reset(seed=1)[0])
     assert not list(tmp_path.iterdir())
 
 
 def test_a_collection_goes_on_where_it_was_cut_off(line_plugins: None, tmp_path: Path) -> None:
     world = World(PluginChoice(name="line"), OBSERVATION)
-    recorder = Recorder(world, DriverSpec("autopilot", "autopilot"), 0, tmp_path, 90)
+    recorder = Recorder(world, AUTOPILOT, 0, tmp_path, 90)
     takes = [Take(place, "low", index) for place in ("F1", "F2") for index in range(2)]
     assert collect(recorder, takes, workers=0) == 4
     kept = takes[1].path(tmp_path).read_bytes()
@@ -128,3 +130,33 @@ def test_a_collection_goes_on_where_it_was_cut_off(line_plugins: None, tmp_path:
     assert takes[1].path(tmp_path).read_bytes() == kept
     assert not list(tmp_path.glob(".*"))
     assert read_metadata(takes[3].path(tmp_path))["map"] == "F2"
+
+
+def test_each_file_says_which_weather_it_has(line_plugins: None, tmp_path: Path) -> None:
+    takes = [Take("F1", "low", index) for index in range(8)]
+    found = []
+    for folder, weather in (("sun", None), ("several", ("moon", "mist"))):
+        world = World(PluginChoice(name="line"), OBSERVATION, weather)
+        collect(Recorder(world, AUTOPILOT, 0, tmp_path / folder, 90), takes, workers=0)
+        found.append([read_metadata(take.path(tmp_path / folder)) for take in takes])
+    assert {one["weather"] for one in found[0]} == {"sun"}
+    assert {one["weather"] for one in found[1]} == {"moon", "mist"}
+    # The same drives: only the weather differs.
+    assert [one["seed"] for one in found[0]] == [one["seed"] for one in found[1]]
+
+
+def test_collections_are_not_mixed(line_plugins: None, tmp_path: Path) -> None:
+    world = World(PluginChoice(name="line"), OBSERVATION, ("moon",))
+    takes = [Take("F1", "low", 0)]
+    assert collect(Recorder(world, AUTOPILOT, 0, tmp_path, 90), takes, workers=0) == 1
+    assert collect(Recorder(world, AUTOPILOT, 0, tmp_path, 90), takes, workers=0) == 0
+    for recorder, message in (
+        (Recorder(replace(world, weather=("sun",)), AUTOPILOT, 0, tmp_path, 90), "its weathers is 'moon', not 'sun'"),
+        (Recorder(world, DriverSpec("idle", "idle"), 0, tmp_path, 90), "its driver is 'autopilot', not 'idle'"),
+        (Recorder(world, AUTOPILOT, 1, tmp_path, 90), "its seed is"),
+    ):
+        with pytest.raises(LogError, match=f"F1-low-00000.mcap belongs to another collection: {message}"):
+            collect(recorder, takes, workers=0)
+    takes[0].path(tmp_path).write_bytes(b"")
+    with pytest.raises(LogError, match="is damaged or truncated"):
+        collect(Recorder(world, AUTOPILOT, 0, tmp_path, 90), takes, workers=0)
