@@ -8,12 +8,18 @@ from typing import Annotated, Any
 
 import typer
 
+from me3bev_cli.errors import UserError
+
 
 def decode(
     run: Annotated[Path | None, typer.Argument(help="A run. Default: the newest.")] = None,
     logs: Annotated[Path | None, typer.Option(help="Frames from these logs instead of live episodes.")] = None,
     maps: Annotated[str | None, typer.Option(help="Maps of the live episodes. Default: the recipe's.")] = None,
     density: Annotated[str | None, typer.Option(help="Density of the live episodes. Default: the recipe's.")] = None,
+    weather: Annotated[
+        str | None,
+        typer.Option(help="As clear_noon,night or all. Default: the recipe's; its evaluation set for scoring."),
+    ] = None,
     episodes: Annotated[int, typer.Option(help="Live episodes; a fifth is held out for scoring.", min=2)] = 20,
     steps: Annotated[int, typer.Option(help="Minibatches to train the decoder for.", min=1)] = 400,
     batch: Annotated[int, typer.Option(help="Frames per minibatch.", min=2)] = 16,
@@ -23,8 +29,11 @@ def decode(
     json: Annotated[str | None, typer.Option(help="Write the scores.", metavar="FILE|-")] = None,
 ) -> None:
     """Decode a policy's latent to a semantic map and score it."""
+    if logs is not None and weather is not None:
+        raise UserError("recorded episodes have the weather they were recorded in", where="--weather")
     from me3bev_cli.decoding.session import Plan
     from me3bev_cli.decoding.session import decode as decode_run
+    from me3bev_cli.evaluation.choice import choose_weather
     from me3bev_cli.evaluation.maps import parse_maps
     from me3bev_cli.output import write_json
     from me3bev_cli.pipeline.assemble import configured
@@ -34,7 +43,8 @@ def decode(
     folder = open_run(run) if run is not None else require_newest_run()
     controller = Controller.load(folder, device="auto")
     cls, config = configured("simulator", controller.recipe.simulator)
-    places = parse_maps(maps, cls(config).maps()) if maps else [controller.recipe.simulator.map]
+    simulator = cls(config)
+    places = parse_maps(maps, simulator.maps()) if maps else [controller.recipe.simulator.map]
     plan = Plan(
         maps=places,
         density=density or controller.recipe.simulator.density,
@@ -44,6 +54,7 @@ def decode(
         seed=seed,
         logs=logs,
         pretrained=pretrained,
+        weather=None if weather is None else choose_weather(weather, simulator, controller.recipe, "training"),
     )
     place = out or folder / "decode"
     result = decode_run(controller, plan, place, lambda text: print(text, file=sys.stderr, flush=True))

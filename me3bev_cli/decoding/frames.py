@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,11 +34,15 @@ class Pairs:
     """(N, C, 3, H, W)"""
 
 
-def live_episodes(recipe: Recipe, maps: list[str], density: str, episodes: int, seed: int) -> Iterator[Iterator[Frame]]:
+def live_episodes(
+    recipe: Recipe, maps: list[str], density: str, weather: Sequence[str] | None, episodes: int, seed: int
+) -> Iterator[Iterator[Frame]]:
     """Episodes driven by the simulator's autopilot, maps taking turns; each an iterator of frames."""
     cls, config = configured("simulator", recipe.simulator)
     simulator = cls(config)
-    envs = {place: simulator.make_env(recipe.observation, map=place, density=density) for place in maps}
+    envs = {
+        place: simulator.make_env(recipe.observation, map=place, density=density, weather=weather) for place in maps
+    }
 
     def frames(index: int) -> Iterator[Frame]:
         place = maps[index % len(maps)]

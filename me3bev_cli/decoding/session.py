@@ -38,6 +38,8 @@ class Plan:
     seed: int
     logs: Path | None = None
     pretrained: str | None = None
+    weather: tuple[str, ...] | None = None
+    """Of the live episodes. None: the recipe's training set to learn from, its evaluation set to score on."""
 
 
 def decode(controller: Controller, plan: Plan, out: Path, say: Callable[[str], None]) -> dict[str, Any]:
@@ -85,8 +87,9 @@ def _frames(controller: Controller, plan: Plan, say: Callable[[str], None]) -> t
         if files:
             episodes = logged_episodes(controller.recipe, (files[index] for index in wanted))
         else:
-            seed = plan.seed + (which == "scoring")
-            episodes = live_episodes(controller.recipe, plan.maps, plan.density, len(wanted), seed)
+            recipe, seed = controller.recipe, plan.seed + (which == "scoring")
+            usual = recipe.weather.evaluation if which == "scoring" else recipe.weather.training
+            episodes = live_episodes(recipe, plan.maps, plan.density, plan.weather or usual, len(wanted), seed)
         return gather(controller.network, episodes, EVERY, lambda done: say(f"{which}: {done}/{len(wanted)} episodes"))
 
     return run("learning", list(range(test, count))), run("scoring", list(range(test)))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from fakes import LineSimulator
+from typer.testing import CliRunner
 
 from me3bev_cli.api import TokenSpec
 from me3bev_cli.decoding.decoder import SemanticDecoder
@@ -19,6 +22,7 @@ from me3bev_cli.decoding.training import class_weights, decode_all, train_decode
 from me3bev_cli.errors import LogError, UserError
 from me3bev_cli.evaluation.drivers import DriverSpec
 from me3bev_cli.evaluation.runner import World
+from me3bev_cli.main import app
 from me3bev_cli.pipeline.control import Controller
 from me3bev_cli.recipe import PluginChoice
 from me3bev_cli.recipe_loading import resolve_recipe
@@ -97,6 +101,32 @@ def test_a_session_scores_and_draws(line_recipe: Path, tmp_path: Path) -> None:
     flat = Controller.untrained(resolve_recipe(line_recipe, ["modalities=[vr, nav]"]))
     with pytest.raises(UserError, match="no spatial encoder"):
         decode(flat, plan, tmp_path / "out", lambda text: None)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "expected"), [(None, [("moon",), ("mist", "sun")]), (("mist",), [("mist",), ("mist",)])]
+)
+def test_it_learns_in_training_weather_and_is_scored_in_evaluation_weather(
+    line_recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: Any, expected: Any
+) -> None:
+    asked: list[Any] = []
+    make_env = LineSimulator.make_env
+
+    def spy(self: LineSimulator, *arguments: Any, **place: Any) -> Any:
+        asked.append(place["weather"])
+        return make_env(self, *arguments, **place)
+
+    monkeypatch.setattr(LineSimulator, "make_env", spy)
+    recipe = resolve_recipe(line_recipe, ["weather={training: [moon], evaluation: [mist, sun]}"])
+    plan = Plan(maps=["F1"], density="low", episodes=2, steps=1, batch=2, seed=0, weather=chosen)
+    decode(Controller.untrained(recipe), plan, tmp_path / "out", lambda text: None)
+    assert asked == expected
+
+
+def test_the_weather_of_logs_cannot_be_chosen(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["decode", "--logs", str(tmp_path), "--weather", "night"])
+    assert result.exit_code == 2
+    assert "--weather: recorded episodes have the weather they were recorded in" in result.stderr
 
 
 def test_logs_are_decoded_if_they_hold_what_the_policy_sees(line_recipe: Path, tmp_path: Path) -> None:

@@ -157,6 +157,13 @@ def test_every_episode_has_a_seed_of_its_own(line_recipe: Path) -> None:
     assert len(set(seeds)) == 4
 
 
+def test_a_stage_trains_in_its_own_weather(line_recipe: Path) -> None:
+    recipe = resolve_recipe(line_recipe, ["weather.training=[moon, mist]"])
+    assert make_environments(recipe, recipe.stages[0]).get_attr("weathers") == [("moon", "mist")] * 2
+    recipe = resolve_recipe(line_recipe, ["weather.training=[moon, mist]", "stages.0.weather=[sun]"])
+    assert make_environments(recipe, recipe.stages[0]).get_attr("weathers") == [("sun",)] * 2
+
+
 def test_damaged_checkpoints_are_named(line_recipe: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(RunError, match="there is no run at"):
