@@ -5,53 +5,18 @@ The one place where work is handed to other processes, so that a cluster engine 
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import sys
-import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
-from me3bev_cli.errors import UserError
+from me3bev_cli.workers import Worker, WorkerDiedError, stop_workers
 
 J = TypeVar("J")
 R = TypeVar("R")
 
-THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
-)
-"""What the libraries read, when they are loaded, to learn how many threads to use. torch reads the first."""
-
 RETRIES = 2
 """How often a job is done again after its worker died."""
-
-
-class WorkerDiedError(UserError):
-    """A job whose worker process died every time."""
-
-
-class JobError(RuntimeError):
-    """A defect met in a worker process; the text holds the traceback from there."""
-
-
-@dataclass(eq=False)
-class _Worker:
-    process: BaseProcess
-    connection: Connection
-    job: int | None = None
 
 
 def run_jobs(
@@ -115,7 +80,8 @@ class _Pool:
         self.waiting = deque(range(len(jobs)))
         self.deaths = [0] * len(jobs)
         self.left = len(jobs)
-        self.workers: list[_Worker] = []
+        self.workers: list[Worker] = []
+        self.job_of: dict[Worker, int] = {}
 
     def run(self) -> None:
         for _ in range(self.size):
@@ -128,56 +94,45 @@ class _Pool:
                     self._hear(worker)
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        here, there = context.Pipe()
-        process = context.Process(target=_serve, args=(there, self.function), daemon=True)
-        with _one_thread(), _ctrl_c_waits():
-            process.start()
-        # Ours must be the only open copies, or nobody learns that the other side is gone.
-        there.close()
-        worker = _Worker(process, here)
+        worker = Worker(self.function)
         self.workers.append(worker)
         self._give(worker)
 
-    def _give(self, worker: _Worker) -> None:
-        worker.job = self.waiting.popleft() if self.waiting else None
-        if worker.job is None:
+    def _give(self, worker: Worker) -> None:
+        if not self.waiting:
             return
+        self.job_of[worker] = self.waiting.popleft()
         try:
-            worker.connection.send((self.jobs[worker.job],))
-        except (BrokenPipeError, ConnectionError):
+            worker.send(self.jobs[self.job_of[worker]])
+        except ConnectionError:
             self._bury(worker)
 
-    def _hear(self, worker: _Worker) -> None:
+    def _hear(self, worker: Worker) -> None:
         try:
             if not worker.connection.poll():
                 raise EOFError
-            kind, payload = worker.connection.recv()
+            result = worker.receive()
         except (EOFError, ConnectionError):
             self._bury(worker)
             return
-        if kind == "mistake":
-            raise _revived(*payload)
-        if kind == "defect":
-            raise JobError(payload)
-        if worker.job is not None:
+        job = self.job_of.pop(worker, None)
+        if job is not None:
             self.left -= 1
-            self.on_result(worker.job, payload)
+            self.on_result(job, result)
         self._give(worker)
 
-    def _bury(self, worker: _Worker) -> None:
+    def _bury(self, worker: Worker) -> None:
         """Note a worker's death, put its job back and start another worker."""
         self.workers.remove(worker)
-        worker.connection.close()
-        worker.process.join()
-        job = worker.job
+        cause = worker.bury()
+        job = self.job_of.pop(worker, None)
         if job is not None:
             self.deaths[job] += 1
             if self.on_death is not None:
                 self.on_death(job, self.deaths[job])
             if self.deaths[job] > RETRIES:
                 raise WorkerDiedError(
-                    f"a worker process died {self.deaths[job]} times on the same work ({_cause(worker.process)})",
+                    f"a worker process died {self.deaths[job]} times on the same work ({cause})",
                     hint="When memory is short, fewer --workers help",
                 )
             self.waiting.appendleft(job)
@@ -185,83 +140,6 @@ class _Pool:
             self._start()
 
     def stop(self, at_once: bool) -> None:
-        """End every worker: idle ones leave when their pipe closes."""
-        for worker in self.workers:
-            worker.connection.close()
-            if at_once:
-                worker.process.terminate()
-        for worker in self.workers:
-            worker.process.join(5)
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join()
+        """End every worker."""
+        stop_workers(self.workers, at_once)
         self.workers.clear()
-
-
-def _serve(connection: Connection, function: Callable[[Any], Any]) -> None:
-    """A worker's life: do what comes through the pipe until it closes."""
-    # Stdout belongs to the command's results; libraries that greet there go to stderr.
-    sys.stdout = sys.stderr
-    os.dup2(2, 1)
-    while True:
-        try:
-            (job,) = connection.recv()
-        except (EOFError, OSError):
-            return
-        try:
-            answer: tuple[str, Any] = ("result", function(job))
-        except UserError as error:
-            answer = ("mistake", (type(error), error.args, vars(error)))
-        except Exception:
-            answer = ("defect", f"in a worker process:\n{traceback.format_exc()}")
-        try:
-            connection.send(answer)
-        except (BrokenPipeError, ConnectionError):
-            return
-        except Exception:
-            connection.send(("defect", f"a result cannot be sent:\n{traceback.format_exc()}"))
-
-
-def _revived(kind: type[UserError], args: tuple[Any, ...], state: dict[str, Any]) -> UserError:
-    """The error as it was raised: its constructor may take other arguments than it keeps."""
-    error = kind.__new__(kind, *args)
-    error.args = args
-    vars(error).update(state)
-    return error
-
-
-def _cause(process: BaseProcess) -> str:
-    code = process.exitcode
-    if code is not None and code < 0:
-        return f"killed by {signal.Signals(-code).name}"
-    return f"exit code {code}"
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes started inside compute with one thread."""
-    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-@contextmanager
-def _ctrl_c_waits() -> Iterator[None]:
-    """Processes started inside never see Ctrl-C, which the terminal sends to all: their parent ends them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    # Starting its helper process, multiprocessing would let Ctrl-C through again: have it started already.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -13,7 +13,8 @@ import parallel_jobs
 import pytest
 
 from me3bev_cli.errors import MapError, RecipeError
-from me3bev_cli.parallel import THREAD_VARIABLES, JobError, WorkerDiedError, run_jobs
+from me3bev_cli.parallel import run_jobs
+from me3bev_cli.workers import THREAD_VARIABLES, JobError, WorkerDiedError
 
 
 @pytest.mark.parametrize("workers", [0, 1, 2])
