@@ -21,8 +21,13 @@ def reachable(edges: list[list[int]], start: int) -> set[int]:
     return seen
 
 
-def check_town(town: Town, joint_kink: float = KINK) -> None:
-    """Joints are shared bit for bit, lanes are smooth and close to even, ids agree, and everything can be driven to."""
+def check_town(town: Town, joint_kink: float = KINK, kink: float = KINK) -> None:
+    """Joints are shared bit for bit, lanes are smooth and close to even, ids agree, and everything can be driven to.
+
+    Args:
+        joint_kink: degrees allowed from one lane to the next.
+        kink: degrees allowed from one step of a lane to the next.
+    """
     assert [lane.id for lane in town.lanes] == list(range(len(town.lanes)))
     for lane in town.lanes:
         assert lane.points.shape[1] == 3
@@ -33,7 +38,7 @@ def check_town(town: Town, joint_kink: float = KINK) -> None:
         assert lane.limit > 0
         assert lane.width >= 1
         directions = np.unwrap(np.arctan2(*np.diff(lane.points[:, :2], axis=0).T[::-1]))
-        assert np.degrees(np.abs(np.diff(directions)).max(initial=0)) < KINK, lane.id
+        assert np.degrees(np.abs(np.diff(directions)).max(initial=0)) < kink, lane.id
         for target in lane.successors:
             following = town.lanes[target]
             assert lane.id in following.predecessors

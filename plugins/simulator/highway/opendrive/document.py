@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from me3bev_cli.errors import MapError
+from me3bev_plugins.simulator.highway.opendrive.bounds import HINT
 from me3bev_plugins.simulator.highway.opendrive.records import Connection, Document, JunctionRecord
 from me3bev_plugins.simulator.highway.opendrive.road_reader import RoadReader
 from me3bev_plugins.simulator.highway.opendrive.source import parse, read_file, unpacked
-from me3bev_plugins.simulator.highway.opendrive.values import HINT, Element, Values
+from me3bev_plugins.simulator.highway.opendrive.values import Element, Values
 
 
 def read_document(source: Path | bytes, name: str, where: str | None = None) -> Document:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -147,9 +148,10 @@ class ReferenceLine:
         """(x, y, heading, curvature) in the world at each s."""
         which = np.clip(np.searchsorted(self.starts, s + 1e-9, side="right") - 1, 0, None)
         x, y, heading, curvature = (np.empty_like(s) for _ in range(4))
-        for index in np.unique(which):
-            piece = self.pieces[index]
-            chosen = which == index
+        ends = [*(np.flatnonzero(np.diff(which)) + 1), len(which)]
+        for low, high in pairwise([0, *ends] if len(which) else []):
+            piece = self.pieces[which[low]]
+            chosen = slice(low, high)
             u, v, turn, bend = piece.local(s[chosen] - piece.s)
             cos, sin = np.cos(piece.heading), np.sin(piece.heading)
             x[chosen] = piece.x + u * cos - v * sin

@@ -14,6 +14,8 @@ KINK = np.radians(1.0)
 JUMP = np.radians(20.0)
 EVEN = 0.5
 SMOOTHINGS = 240
+LONGEST_STEP = 1.01
+"""Metres between two points of a lane."""
 STRETCH = 18.0
 """Metres over which a gap of one metre is spread, so that no lane kinks."""
 
@@ -80,6 +82,18 @@ def _move_ends(points: Floats, first: Floats, last: Floats) -> Floats:
     moved = points + _fade(s, first - points[0]) + _fade(s[-1] - s, last - points[-1])
     moved[0], moved[-1] = first, last
     return moved
+
+
+def dense(points: Floats) -> Floats:
+    """Points (P, 3) with more between any two that lie too far apart, as where a file's curves do not meet."""
+    steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    if steps.max(initial=0.0) <= LONGEST_STEP:
+        return points
+    pieces = np.maximum(np.ceil(steps / LONGEST_STEP), 1).astype(np.int64)
+    which = np.repeat(np.arange(len(steps)), pieces)
+    share = (np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces)) / pieces[which]
+    filled = points[which] + share[:, None] * (points[which + 1] - points[which])
+    return np.vstack([filled, points[-1:]])
 
 
 def _fade(distance: Floats, shift: Floats) -> Floats:

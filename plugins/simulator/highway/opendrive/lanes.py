@@ -16,7 +16,7 @@ from me3bev_plugins.simulator.highway.opendrive.blocks import (
     join_through_short,
 )
 from me3bev_plugins.simulator.highway.opendrive.graph import Links, lane_links
-from me3bev_plugins.simulator.highway.opendrive.joints import share_joints, smooth, strongest_component
+from me3bev_plugins.simulator.highway.opendrive.joints import dense, share_joints, smooth, strongest_component
 from me3bev_plugins.simulator.highway.opendrive.records import Document
 from me3bev_plugins.simulator.highway.opendrive.shapes import Key
 from me3bev_plugins.simulator.highway.town import Floats, Marking, Turn
@@ -116,7 +116,7 @@ def build_network(document: Document, shapes: Shapes) -> Network:
     loose = [((draft.keys[0], 0) in tapers, (draft.keys[-1], -1) in tapers) for draft in kept]
     joined = share_joints([smooth(draft.points) for draft in kept], [draft.successors for draft in kept], loose)
     for draft, points in zip(kept, joined, strict=True):
-        draft.points = points
+        draft.points = dense(points)
     return Network(kept, {key: index for index, draft in enumerate(kept) for key in draft.keys})
 
 

@@ -21,6 +21,8 @@ LONGEST = 100_000.0
 """Metres; a longer road is a fault of the file, not a road."""
 SHARPEST = 100.0
 """1/m; a sharper curve is a fault of the file."""
+FASTEST = 150.0
+"""m/s; a higher limit is a fault of the file."""
 UNITS = {"mph": 0.44704, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "m/s": 1.0}
 
 
@@ -124,6 +126,8 @@ class RoadReader:
             if unit not in UNITS:
                 raise self.values.fault(f"<speed> unit='{unit}' is not one of {', '.join(UNITS)}")
             value = self.values.number(speed, "max") * UNITS[unit]
+            if value > FASTEST:
+                raise self.values.fault(f"<speed> max='{top}' is out of range")
             if value > 0:
                 found.append((self.values.number(element, "s", 0.0), value))
         return tuple(sorted(found))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from me3bev_plugins.simulator.highway.opendrive.bounds import Samples, check_document, check_extent, check_shape
 from me3bev_plugins.simulator.highway.opendrive.records import DRIVING, Document, Road, Section
 from me3bev_plugins.simulator.highway.town import Floats
 
@@ -70,13 +71,26 @@ class SectionShape:
 
 
 def section_shapes(document: Document) -> dict[tuple[str, int], SectionShape]:
-    """Every section of every road, by (road id, section index)."""
-    return {(shape.road.id, shape.index): shape for road in document.roads.values() for shape in _road_shapes(road)}
+    """Every section of every road, by (road id, section index).
+
+    Raises:
+        MapError: a road is where no road can be, or all together are too much.
+    """
+    check_document(document)
+    samples = Samples(document)
+    shapes = {}
+    for road in document.roads.values():
+        for shape in _road_shapes(road, samples):
+            check_shape(document, shape)
+            shapes[road.id, shape.index] = shape
+    check_extent(document, shapes.values())
+    return shapes
 
 
-def _road_shapes(road: Road) -> Iterator[SectionShape]:
+def _road_shapes(road: Road, samples: Samples) -> Iterator[SectionShape]:
     for index, section in enumerate(road.sections):
         s = _samples(road, section)
+        samples.take(road, len(s) * (len(section.lanes) + 1))
         x, y, heading, _ = road.line.at(s)
         yield SectionShape(road, index, section, s, x, y, road.elevation(s), heading, _edges(road, section, s))
 

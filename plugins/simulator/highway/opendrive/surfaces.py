@@ -145,6 +145,8 @@ def _floor(shapes: Shapes, network: Network, crossing: Crossing) -> Iterator[Flo
             kerb.append(_coarse(_kerb(lanes[connector], first, last)))
         elif arm.incoming:
             kerb.append(_verge_point(shapes, lanes, arm.incoming, -1))
+    if not kerb:
+        return
     points = np.concatenate(kerb)
     middle = np.array(crossing.centre)
     if len(points) < 3 or float(np.hypot(*(points - middle).T).max()) > WIDEST_FLOOR:

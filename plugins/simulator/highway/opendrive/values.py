@@ -9,11 +9,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from me3bev_cli.errors import MapError
+from me3bev_plugins.simulator.highway.opendrive.bounds import HINT
 from me3bev_plugins.simulator.highway.opendrive.geometry import ZERO, Cubics
 from me3bev_plugins.simulator.highway.opendrive.records import Contact
 
 Element = ET.Element
-HINT = "Check the file, or export it as OpenDRIVE 1.4 or later again"
 
 
 class Values:
