@@ -64,7 +64,7 @@ class RunError(UserError):
 
 
 class MapError(UserError):
-    """A map or density that does not exist, or a map file that cannot be read."""
+    """A map, density or weather that does not exist, or a map file that cannot be read."""
 
 
 class LogError(UserError):

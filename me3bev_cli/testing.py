@@ -22,7 +22,7 @@ _METHODS = {
     "spatial": ("output_spec", "forward"),
     "temporal": ("check", "initial_state", "forward"),
     "fusion": ("output_width", "forward"),
-    "simulator": ("maps", "densities", "rig", "make_env"),
+    "simulator": ("maps", "densities", "weathers", "rig", "make_env"),
 }
 
 

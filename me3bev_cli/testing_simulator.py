@@ -1,7 +1,9 @@
-"""Checks of a simulator plugin: its maps, its rig and the environments that it makes."""
+"""Checks of a simulator plugin: its maps and weather, its rig and the environments that it makes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import closing
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -20,26 +22,27 @@ from me3bev_cli.evaluation.episode import COLLISIONS, CONTACTS
 from me3bev_cli.testing import require
 
 STEPS = 5
+DRAWS = 16
+PLAN_SIZES = (64, 150)
+DEFAULT_WEATHER = "info['weather'] is the first of weathers() where none was asked for"
 VECTORS = {"road": ROAD_WIDTH, "vehicle": VEHICLE_WIDTH, "navigation": NAVIGATION_WIDTH}
 
 
 def check_simulator(cls: Any, config: PluginConfig, observation: ObservationConfig, seed: int) -> None:
     """All of it, on the first map at the first density."""
     simulator = cls(config)
-    for name in ("maps", "densities"):
+    for name in ("maps", "densities", "weathers"):
         listed = getattr(simulator, name)()
         fits = isinstance(listed, tuple) and len(listed) > 0 and all(isinstance(word, str) for word in listed)
         require(cls, fits, f"{name}() gives a tuple of names that is not empty", listed)
     _check_rig(cls, simulator, observation)
     place = {"map": simulator.maps()[0], "density": simulator.densities()[0]}
-    env = simulator.make_env(observation, **place)
-    try:
+    with closing(simulator.make_env(observation, **place)) as env:
         first = _check_episode(cls, env, observation, seed)
         _check_extras(cls, env)
-    finally:
-        env.close()
     _check_repeats(cls, simulator, observation, place, seed, first)
     _check_blind(cls, simulator, observation, place, seed)
+    _check_weather(cls, simulator, observation, place, seed, first)
 
 
 def _check_rig(cls: Any, simulator: Any, observation: ObservationConfig) -> None:
@@ -108,13 +111,51 @@ def _check_extras(cls: Any, env: Any) -> None:
     classes = env.unwrapped.bev_semantics()
     fits = classes.shape == (200, 200) and classes.dtype == np.uint8 and int(classes.max()) < len(BEV_CLASSES)
     require(cls, fits, "bev_semantics() is (200, 200) uint8 of known classes", (classes.shape, classes.dtype))
+    for size in PLAN_SIZES:
+        plan = env.unwrapped.plan_view(size)
+        fits = plan.shape == (size, size, 3) and plan.dtype == np.uint8
+        require(cls, fits, f"plan_view({size}) is ({size}, {size}, 3) uint8", (plan.shape, plan.dtype))
+
+
+def _check_weather(
+    cls: Any, simulator: Any, observation: ObservationConfig, place: dict[str, str], seed: int, first: dict[str, Any]
+) -> None:
+    """Each kind by name, the default one, and a draw from all of them."""
+    names = simulator.weathers()
+    for name in (None, *names):
+        weather = None if name is None else (name,)
+        with closing(simulator.make_env(observation, **place, weather=weather, images=False)) as env:
+            vectors, info = env.reset(seed=seed)
+            promise = f"info['weather'] is '{name}' where that was asked for" if name else DEFAULT_WEATHER
+            wanted = name or names[0]
+            require(cls, info.get("weather") == wanted, f"{promise}, at reset", info.get("weather"))
+            same = all(np.array_equal(vectors[key], first[key]) for key in VECTORS)
+            require(cls, same, "routes and traffic of a seed are the same in any weather", f"not in '{wanted}'")
+            *_, info = env.step(np.zeros(2, env.action_space.dtype))
+            require(cls, info.get("weather") == wanted, f"{promise}, at every step", info.get("weather"))
+    drawn = [_drawn(simulator, observation, place, names, seed) for _ in range(2)]
+    require(cls, drawn[0] == drawn[1], "an episode's seed decides its weather", drawn)
+    alone = len(names) == 1
+    require(cls, alone or len(set(drawn[0])) > 1, "an episode draws one of the kinds of weather asked for", drawn[0])
+    try:
+        simulator.make_env(observation, **place, weather=("no_such_weather",), images=False).close()
+    except (ValueError, UserError):
+        return
+    require(cls, False, "an unknown weather raises UserError", "it was accepted")
+
+
+def _drawn(
+    simulator: Any, observation: ObservationConfig, place: dict[str, str], weather: Sequence[str], seed: int
+) -> list[str]:
+    """The weather of some episodes in a row."""
+    with closing(simulator.make_env(observation, **place, weather=weather, images=False)) as env:
+        return [env.reset(seed=seed + index)[1].get("weather") for index in range(DRAWS)]
 
 
 def _check_repeats(
     cls: Any, simulator: Any, observation: ObservationConfig, place: dict[str, str], seed: int, first: dict[str, Any]
 ) -> None:
-    env = simulator.make_env(observation, **place)
-    try:
+    with closing(simulator.make_env(observation, **place)) as env:
         again, _ = env.reset(seed=seed)
         for name, value in first.items():
             same = np.array_equal(value, again[name])
@@ -122,14 +163,9 @@ def _check_repeats(
         other, _ = env.reset(seed=seed + 1)
         differs = any(not np.array_equal(value, other[name]) for name, value in first.items())
         require(cls, differs, "another seed gives another episode", "the first observation is the same")
-    finally:
-        env.close()
 
 
 def _check_blind(cls: Any, simulator: Any, observation: ObservationConfig, place: dict[str, str], seed: int) -> None:
-    env = simulator.make_env(observation, **place, images=False)
-    try:
+    with closing(simulator.make_env(observation, **place, images=False)) as env:
         obs, _ = env.reset(seed=seed)
         require(cls, set(obs) == set(VECTORS), "with images=False an observation has no images", sorted(obs))
-    finally:
-        env.close()

@@ -163,6 +163,7 @@ class SimulatorPlugin(Protocol):
     ) -> gymnasium.Env[Any, Any]:
         """A gymnasium environment. Each episode draws one of `weather` by its seed; None is the default weather.
 
+        A seed has the same route and traffic in any weather. An unknown map, density or weather raises UserError.
         Observations are a dict: `images` (C, 3, H, W) uint8 (absent when `images` is false: for drivers that
         do not look), `road` (9,), `vehicle` (4,), `navigation` (5,) float32. Actions are (steering,
         longitudinal) in [-1, 1]; positive steering turns left. `info["record"]` holds a `StepRecord`,

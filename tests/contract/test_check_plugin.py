@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import torch
-from fakes import LineEnv, LineSimulator, TinySpatial
+from fakes import WEATHERS, LineEnv, LineSimulator, TinySpatial
 from pydantic import BaseModel, ConfigDict
 from torch import Tensor, nn
 
@@ -304,6 +304,46 @@ class ForgetsRecord(LineEnv):
         return (*rest, info)  # type: ignore[return-value]
 
 
+class ForgetsWeather(LineEnv):
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        *rest, info = super().step(action)
+        del info["weather"]
+        return (*rest, info)  # type: ignore[return-value]
+
+
+class OneWeather(LineEnv):
+    """Has the first of those asked for in every episode."""
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        observation, _ = super().reset(seed=seed)
+        self.weather = self.weathers[0]
+        return observation, {"weather": self.weather}
+
+
+class NeverTheDefault(LineEnv):
+    """Has the last kind where none is asked for."""
+
+    def __init__(self, observation: ObservationConfig, place: str, weathers: Any, images: bool) -> None:
+        super().__init__(observation, place, weathers or WEATHERS[-1:], images)
+
+
+class WeatherMovesRoutes(LineEnv):
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        return super().reset(seed=None if seed is None else seed + WEATHERS.index(self.weathers[0]))
+
+
+class AnyWeather(LineEnv):
+    """Takes names that it does not know."""
+
+    def __init__(self, observation: ObservationConfig, place: str, weathers: Any, images: bool) -> None:
+        super().__init__(observation, place, tuple(name for name in weathers or () if name in WEATHERS) or None, images)
+
+
+class FlatPlan(LineEnv):
+    def plan_view(self, size: int) -> Any:
+        return super().plan_view(size)[..., 0]
+
+
 class IgnoresSeed(LineEnv):
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         return super().reset(seed=None)
@@ -313,6 +353,12 @@ class IgnoresSeed(LineEnv):
     ("env", "promise"),
     [
         (ForgetsRecord, "the record has every key of StepRecord. Seen: missing: yaw_rate"),
+        (ForgetsWeather, "where none was asked for, at every step. Seen: None"),
+        (OneWeather, "an episode draws one of the kinds of weather asked for"),
+        (NeverTheDefault, "info['weather'] is the first of weathers() where none was asked for, at reset. Seen: mist"),
+        (WeatherMovesRoutes, "routes and traffic of a seed are the same in any weather. Seen: not in 'moon'"),
+        (AnyWeather, "an unknown weather raises UserError"),
+        (FlatPlan, "plan_view(64) is (64, 64, 3) uint8"),
         (IgnoresSeed, "the same seed gives the same first observation"),
     ],
 )
