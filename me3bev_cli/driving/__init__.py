@@ -1,0 +1,1 @@
+"""Drives that people watch: frames, videos, outcomes."""
