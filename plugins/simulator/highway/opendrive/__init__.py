@@ -23,6 +23,9 @@ from me3bev_plugins.simulator.highway.town import Floats, Junction, Lane, Town
 
 __all__ = ["read_file", "read_town"]
 
+WORTH_SAYING = 5.0
+"""Metres of lanes left out that a description mentions."""
+
 
 def read_town(source: Path | bytes, name: str, where: str | None = None) -> Town:
     """A town from an OpenDRIVE file, plain or gzipped.
@@ -65,7 +68,7 @@ def read_town(source: Path | bytes, name: str, where: str | None = None) -> Town
         sidewalks=sidewalks,
         buildings=buildings,
         props=props,
-        description=_description(lanes, crossings),
+        description=_description(lanes, crossings, network.left_out),
         surfaces=surfaces,
     )
 
@@ -75,10 +78,13 @@ def _extent(lanes: tuple[Lane, ...]) -> tuple[Floats, Floats]:
     return points.min(0), points.max(0)
 
 
-def _description(lanes: tuple[Lane, ...], crossings: list[Crossing]) -> str:
+def _description(lanes: tuple[Lane, ...], crossings: list[Crossing], left_out: float) -> str:
     metres = sum(lane.length for lane in lanes)
     lit = sum(crossing.control == "signal" for crossing in crossings)
-    return f"{metres / 1000:.1f} km of lanes, {len(crossings)} junctions, {lit} with traffic lights"
+    text = f"{metres / 1000:.1f} km of lanes, {len(crossings)} junctions, {lit} with traffic lights"
+    if left_out < WORTH_SAYING:
+        return text
+    return f"{text}; {left_out / 1000:.2f} km left out: dead ends, or apart from the rest"
 
 
 def _lanes(network: Network, crossings: list[Crossing]) -> tuple[Lane, ...]:

@@ -88,6 +88,8 @@ class Network:
 
     lanes: list[Draft]
     of: dict[Key, int]
+    left_out: float = 0.0
+    """Metres of driving lanes that are no part of it: dead ends, roads apart from the others."""
 
 
 def build_network(document: Document, shapes: Shapes) -> Network:
@@ -117,7 +119,8 @@ def build_network(document: Document, shapes: Shapes) -> Network:
     joined = share_joints([smooth(draft.points) for draft in kept], [draft.successors for draft in kept], loose)
     for draft, points in zip(kept, joined, strict=True):
         draft.points = dense(points)
-    return Network(kept, {key: index for index, draft in enumerate(kept) for key in draft.keys})
+    left_out = sum(draft.length for draft, wanted in zip(drafts, keep, strict=True) if not wanted)
+    return Network(kept, {key: index for index, draft in enumerate(kept) for key in draft.keys}, left_out)
 
 
 def _meeting(links: Links, shapes: Shapes) -> Links:
