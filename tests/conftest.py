@@ -13,6 +13,12 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _no_imported_maps(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The maps that whoever runs the tests has imported are not theirs."""
+    os.environ["ME3BEV_DATA"] = str(tmp_path_factory.mktemp("data"))
+
+
 @pytest.fixture
 def line_plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The fake plugins of `fakes.py`, installed."""
