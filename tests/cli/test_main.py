@@ -150,7 +150,9 @@ def test_the_schema_knows_the_plugins(install: Callable[..., None]) -> None:
     assert schema["properties"]["temporal"]["anyOf"][-1] == {"type": "null"}
     simulator = schema["properties"]["simulator"]["anyOf"][0]["properties"]
     assert set(simulator) == {"name", "map", "density", "vehicles", "horizon"}
-    assert {"extends", "stages", "context"} <= set(schema["properties"])
+    assert {"extends", "stages", "context", "weather"} <= set(schema["properties"])
+    some, nothing = schema["$defs"]["Weather"]["properties"]["training"]["anyOf"]
+    assert (some["type"], some["minItems"], some["uniqueItems"], nothing["type"]) == ("array", 1, True, "null")
     assert "required" not in schema
     assert _references(schema) <= {f"#/$defs/{name}" for name in schema["$defs"]}
 

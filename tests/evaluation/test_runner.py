@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scripted_world import ScriptedEnv
+from scripted_world import WEATHERS, ScriptedEnv
 
 from me3bev_cli.api import ObservationConfig
 from me3bev_cli.errors import PluginError, UserError
@@ -17,12 +17,12 @@ from me3bev_cli.seeding import derive_seed
 
 def player(driver: str = "random", simulator: str = "scripted", seed: int = 0, **settings: object) -> Player:
     choice = PluginChoice.model_validate({"name": simulator, **settings})
-    world = World(choice, ObservationConfig(cameras=("front", "back"), height=16, width=16))
+    world = World(choice, ObservationConfig(cameras=("front", "back"), height=16, width=16), WEATHERS)
     return Player(world, DriverSpec(driver, driver), seed)
 
 
 def contents(episodes: list[Episode]) -> list[object]:
-    return [(e.map, e.density, e.index, e.seed, e.driver, e.ended, e.steps.tobytes()) for e in episodes]
+    return [(e.map, e.density, e.weather, e.index, e.seed, e.driver, e.ended, e.steps.tobytes()) for e in episodes]
 
 
 def test_the_plan_covers_every_episode_once() -> None:
@@ -38,6 +38,7 @@ def test_any_number_of_workers_gives_the_same_numbers(scripted: None) -> None:
     found = [contents(evaluate(player(), jobs, workers)[0]) for workers in (0, 1, 2)]
     assert found[0] == found[1] == found[2]
     assert len(set(map(str, found[0]))) == 34
+    assert {episode[2] for episode in found[0]} == set(WEATHERS)  # type: ignore[index]
 
 
 def test_an_episode_does_not_depend_on_its_company(scripted: None) -> None:
@@ -65,6 +66,7 @@ def test_progress_hears_of_every_episode(scripted: None) -> None:
     assert set(snapshot.images.ravel()) == {snapshot.step}
     assert snapshot.step <= min(40, len(episodes[0]))
     assert snapshot.bev.shape == (200, 200)
+    assert snapshot.weather == episodes[0].weather
 
 
 def test_reference_drivers(scripted: None) -> None:
