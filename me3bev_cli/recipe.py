@@ -149,6 +149,9 @@ class PpoStage(Block):
     weather: Names | None = Field(default=None, description="instead of the weather block's training set")
     simulator: dict[str, Any] = Field(default={}, description="the simulator's own keys that differ in this stage")
     envs: int = Field(default=4, ge=1, le=256, description="environments side by side")
+    workers: int | None = Field(
+        default=None, ge=1, le=256, description="processes for them, at most envs; 1: this one; null: one per core"
+    )
     rollout: int = Field(default=256, ge=2, description="steps per environment between two updates")
     segment: int = Field(default=16, ge=1, description="contiguous frames that are learned from together")
     minibatch: int = Field(default=128, ge=1, description="frames per gradient step; a multiple of segment")

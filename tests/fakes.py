@@ -189,7 +189,8 @@ context: {kind: window, length: 4}
 fusion: {name: sum}
 policy: {hidden: [8]}
 stages:
-  - {kind: ppo, steps: 192, envs: 2, rollout: 16, segment: 8, minibatch: 16, epochs: 2, checkpoint_every: 64}
+  - {kind: ppo, steps: 192, envs: 2, workers: 1, rollout: 16, segment: 8, minibatch: 16, epochs: 2,
+     checkpoint_every: 64}
 seed: 3
 device: cpu
 """

@@ -30,7 +30,7 @@ def evaluate(
     workers: Annotated[int | None, typer.Option(help="Processes. Default: one per core.")] = None,
     seed: Annotated[int, typer.Option(help="Of routes and traffic.")] = 0,
     device: Annotated[str, typer.Option(help="Of the policy: auto, cpu or cuda.")] = "auto",
-    out: Annotated[Path | None, typer.Option(help="Where to write. Default: RUN/eval/MAPS-DENSITY.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Where to write. Default: RUN/eval/MAPS-DENSITY[-WEATHER].")] = None,
     json: Annotated[str | None, typer.Option(help="Write the figures here too.", metavar="FILE|-")] = None,
     csv: Annotated[Path | None, typer.Option(help="Write the rows here too.", metavar="FILE")] = None,
     picture: Annotated[Path | None, typer.Option(help="Write the picture here too.", metavar="FILE")] = None,
@@ -53,15 +53,13 @@ def evaluate(
 
 def _play(evaluation: Evaluation, workers: int | None) -> Outcome:
     """Play the episodes; Ctrl-C says what is lost."""
-    import os
-
     from me3bev_cli.evaluation.progress import EvaluationProgress
     from me3bev_cli.evaluation.session import play
+    from me3bev_cli.workers import cores
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with EvaluationProgress(evaluation.total) as progress:
         try:
-            return play(evaluation, cores if workers is None else workers, progress)
+            return play(evaluation, cores() if workers is None else workers, progress)
         except KeyboardInterrupt:
             done = f"{progress.episodes} of {progress.total} episodes were finished"
     typer.echo(f"me3bev: stopped: {done}; nothing is written", err=True)
