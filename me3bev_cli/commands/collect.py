@@ -27,21 +27,17 @@ def collect(
     json: Annotated[str | None, typer.Option(help="Write what was recorded.", metavar="FILE|-")] = None,
 ) -> None:
     """Drive episodes and record them as MCAP files."""
-    from me3bev_cli.evaluation.drivers import REFERENCES
-    from me3bev_cli.evaluation.session import prepare
+    from me3bev_cli.evaluation.choice import choose_cells, choose_driver, reference_or_run
     from me3bev_cli.output import write_json
     from me3bev_cli.recording.collect import Recorder, Take
     from me3bev_cli.recording.collect import collect as record_all
     from me3bev_cli.training.display import clock
 
-    known = driver in REFERENCES
-    plan = prepare(
-        run=None if known else Path(driver), checkpoint="last", driver=driver if known else None, recipe=recipe,
-        device="auto", maps=maps, density=density, weather=weather, weather_unset="training",
-        episodes=episodes, seed=seed, out=None,
-    )  # fmt: skip
-    recorder = Recorder(plan.world, plan.driver, seed, out, quality)
-    takes = [Take(m, d, i) for d in plan.densities for m in plan.maps for i in range(episodes)]
+    name, run = reference_or_run(driver)
+    spec, loaded = choose_driver(run, "last", name, recipe, "auto")
+    cells = choose_cells(loaded, maps, density, weather, "training")
+    recorder = Recorder(cells.world, spec, seed, out, quality)
+    takes = [Take(m, d, i) for d in cells.densities for m in cells.maps for i in range(episodes)]
     start, done, total_steps = time.monotonic(), 0, 0
 
     def shown(take: Take, steps: int) -> None:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from me3bev_cli.api import ObservationConfig, SimulatorPlugin
 from me3bev_cli.errors import UserError, unknown_name
 from me3bev_cli.evaluation.drivers import REFERENCES, DriverSpec
-from me3bev_cli.evaluation.maps import parse_weathers
+from me3bev_cli.evaluation.maps import parse_densities, parse_maps, parse_weathers
 from me3bev_cli.evaluation.runner import World
 from me3bev_cli.recipe import PluginChoice, Recipe
 from me3bev_cli.recipe_loading import resolve_recipe
 from me3bev_cli.training.run import open_run, require_newest_run, runs_root
+
+WeatherSet = Literal["training", "evaluation"]
+"""The recipe's set that stands for an option `--weather` that is not given."""
 
 SIMULATOR = "highway"
 """What reference drivers drive in when no recipe says otherwise."""
@@ -49,8 +53,37 @@ def world_of(recipe: Recipe | None) -> World:
     return World(PluginChoice(name=recipe.simulator.name, **recipe.simulator.settings), recipe.observation)
 
 
+@dataclass(frozen=True)
+class Cells:
+    """The world with the weather that episodes draw from, and where in it they take place."""
+
+    world: World
+    maps: tuple[str, ...]
+    densities: tuple[str, ...]
+
+
+def choose_cells(
+    recipe: Recipe | None, maps: str | None, density: str | None, weather: str | None, unset: WeatherSet
+) -> Cells:
+    """What `--maps`, `--density` and `--weather` name: by default every map, the recipe's density and `unset` set.
+
+    Raises:
+        UserError: one of them names what is not there.
+    """
+    world = world_of(recipe)
+    simulator = world.open()
+    known_maps, known_densities = simulator.maps(), simulator.densities()
+    if density is None:
+        density = recipe.simulator.density if recipe else known_densities[0]
+    return Cells(
+        replace(world, weather=choose_weather(weather, simulator, recipe, unset)),
+        tuple(known_maps if maps is None else parse_maps(maps, known_maps)),
+        tuple(parse_densities(density, known_densities)),
+    )
+
+
 def choose_weather(
-    option: str | None, simulator: SimulatorPlugin, recipe: Recipe | None, unset: Literal["training", "evaluation"]
+    option: str | None, simulator: SimulatorPlugin, recipe: Recipe | None, unset: WeatherSet
 ) -> tuple[str, ...]:
     """What `--weather` names; without it the recipe's `unset` set, or the default weather where there is no recipe.
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from me3bev_cli import __version__
-from me3bev_cli.evaluation.choice import choose_driver, choose_weather, world_of
+from me3bev_cli.evaluation.choice import choose_cells, choose_driver
 from me3bev_cli.evaluation.drivers import DriverSpec
 from me3bev_cli.evaluation.episode import Episode
-from me3bev_cli.evaluation.maps import parse_densities, parse_maps, shorten
+from me3bev_cli.evaluation.maps import shorten
 from me3bev_cli.evaluation.progress import EvaluationProgress
 from me3bev_cli.evaluation.results import CSV, JSON, PICTURE, document, refuse_foreign, save_episodes
 from me3bev_cli.evaluation.runner import Player, Snapshot, World, plan
@@ -83,34 +83,19 @@ def prepare(
     episodes: int,
     seed: int,
     out: Path | None,
-    weather_unset: Literal["training", "evaluation"] = "evaluation",
 ) -> Evaluation:
     """Check every option before anything is driven.
-
-    Args:
-        weather_unset: the recipe's set of weather that stands for an open `weather`.
 
     Raises:
         UserError: any of them is wrong, or there is neither a run nor a driver.
     """
     spec, loaded = choose_driver(run, checkpoint, driver, recipe, device)
-    world = world_of(loaded)
-    simulator = world.open()
-    known_maps, known_densities = simulator.maps(), simulator.densities()
-    chosen_maps = parse_maps(maps, known_maps) if maps is not None else list(known_maps)
-    default = loaded.simulator.density if loaded else known_densities[0]
-    chosen_densities = parse_densities(default if density is None else density, known_densities)
-    usual, chosen_weather = (choose_weather(w, simulator, loaded, weather_unset) for w in (None, weather))
+    cells = choose_cells(loaded, maps, density, weather, "evaluation")
     if out is None:
-        parts = [shorten(chosen_maps), shorten(chosen_densities)]
-        if chosen_weather != usual:
-            parts.append(
-                "all-weather" if set(chosen_weather) == set(simulator.weathers()) else ",".join(chosen_weather)
-            )
-        out = _folder(spec, loaded, checkpoint) / "-".join(parts)
+        words = [cells.maps, cells.densities, *([] if weather is None else [cells.world.weather or ()])]
+        out = _folder(spec, loaded, checkpoint) / "-".join(shorten(names) for names in words)
     refuse_foreign(out)
-    world = replace(world, weather=chosen_weather)
-    return Evaluation(world, spec, tuple(chosen_maps), tuple(chosen_densities), episodes, seed, out)
+    return Evaluation(cells.world, spec, cells.maps, cells.densities, episodes, seed, out)
 
 
 def _folder(spec: DriverSpec, recipe: Recipe | None, checkpoint: str) -> Path:

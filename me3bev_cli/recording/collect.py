@@ -71,7 +71,7 @@ class Recorder:
             "recipe": self.spec.recipe.name if self.spec.recipe else "",
             "map": take.place,
             "density": take.density,
-            "weathers": ",".join(self.world.weather or ()),
+            "weather_set": ",".join(self.world.weather or ()),
             "index": str(take.number),
             "seed": str(self.episode_seed(take)),
         }
