@@ -51,10 +51,10 @@ class TownLibrary:
         Raises:
             MapError: the name cannot be used, the file cannot be read or driven, or there is no room.
         """
-        from me3bev_plugins.simulator.highway.opendrive import read_file, read_town
-
         where = "--name" if name is not None else str(source)
         name = store.checked_name(_stem(source) if name is None else name, replace=replace, where=where)
+        from me3bev_plugins.simulator.highway.opendrive import read_file, read_town
+
         data = read_file(source)
         town = read_town(data, name, where=str(source))
         check_routes(town, str(source))

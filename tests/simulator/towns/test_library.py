@@ -1,0 +1,336 @@
+"""Imported towns: where they are kept, under which names, and that nothing is left behind when it goes wrong."""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import os
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from simulator.opendrive_text import RoadText, document, stadium
+from simulator.town_checks import check_town
+
+from me3bev_cli.api import FactRow, MapEntry
+from me3bev_cli.errors import MapError
+from me3bev_plugins.simulator.highway import Highway, HighwayConfig, library_store
+from me3bev_plugins.simulator.highway.maps import MAPS, available, load_town
+from me3bev_plugins.simulator.highway.opendrive import source as opendrive_source
+
+
+@pytest.fixture
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's data folder, which does not exist yet."""
+    monkeypatch.setenv("ME3BEV_DATA", str(tmp_path / "data"))
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def world(data: Path) -> Highway:
+    return Highway(HighwayConfig())
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Path:
+    path = tmp_path / "Ring.xodr"
+    path.write_bytes(stadium())
+    return path
+
+
+def kept(data: Path) -> list[str]:
+    return sorted(path.name for path in data.rglob("*") if path.is_file())
+
+
+def test_before_any_import_there_are_the_built_in_towns(world: Highway, data: Path) -> None:
+    assert world.maps() == available() == MAPS
+    assert [(entry.name, entry.source) for entry in world.map_entries()] == [(name, "built-in") for name in MAPS]
+    assert all(entry.description for entry in world.map_entries())
+    assert not data.exists()
+
+
+def test_an_imported_town_is_there_from_then_on(world: Highway, data: Path, ring: Path) -> None:
+    entry = world.import_map(ring, None, False)
+    # The lane of the other direction is a course of its own.
+    description = (
+        "0.6 km of lanes, 0 junctions, 0 with traffic lights; 0.26 km left out: dead ends, or apart from the rest"
+    )
+    assert entry == MapEntry("Ring", "imported", description)
+    assert kept(data) == ["Ring.xodr.gz"]
+    assert gzip.decompress((data / "maps" / "Ring.xodr.gz").read_bytes()) == stadium()
+    assert world.map_entries()[-1] == entry
+    assert world.maps() == (*MAPS, "Ring")
+    check_town(load_town("Ring"))
+    assert load_town("Ring") is load_town("Ring")
+    world.remove_map("Ring")
+    assert world.maps() == MAPS
+    with pytest.raises(MapError, match="unknown map 'Ring'"):
+        load_town("Ring")
+
+
+def test_gymnasium_drives_an_imported_town(world: Highway, ring: Path) -> None:
+    world.import_map(ring, "mine", False)
+    env = gymnasium.make("me3bev/Town-v0", map="mine", images=False, vehicles=3, pedestrians=3)
+    env.reset(seed=1)
+    for _ in range(20):
+        observation, *_ = env.step(env.unwrapped.autopilot())  # type: ignore[attr-defined]
+    assert env.unwrapped._record["route_done"] > 1.0  # type: ignore[attr-defined]
+    assert all(np.isfinite(value).all() for value in observation.values())
+
+
+def test_a_compressed_file_is_imported_alike(world: Highway, data: Path, ring: Path, tmp_path: Path) -> None:
+    packed = tmp_path / "Packed.xodr.gz"
+    packed.write_bytes(gzip.compress(ring.read_bytes()))
+    assert world.import_map(packed, None, False).name == "Packed"
+    world.import_map(ring, "Packed2", False)
+    first, second = ((data / "maps" / f"{name}.xodr.gz").read_bytes() for name in ("Packed", "Packed2"))
+    assert first == second
+
+
+def test_a_town_imported_again_is_read_again(world: Highway, ring: Path) -> None:
+    world.import_map(ring, None, False)
+    before = load_town("Ring")
+    with pytest.raises(MapError, match=r"Ring.xodr: there is an imported map 'Ring' already. .*add --replace"):
+        world.import_map(ring, None, False)
+    assert load_town("Ring") is before
+    ring.write_bytes(stadium(radius=40.0))
+    world.import_map(ring, None, True)
+    after = load_town("Ring")
+    assert sum(lane.length for lane in after.lanes) > 1.1 * sum(lane.length for lane in before.lanes)
+
+
+def test_dead_ends_are_left_out_and_said(world: Highway, tmp_path: Path) -> None:
+    ring = stadium().decode()
+    stub = RoadText(
+        "stub", '<geometry s="0" x="0" y="300" hdg="0" length="120"><line/></geometry>', 120.0,
+        right='<lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>',
+    )  # fmt: skip
+    path = tmp_path / "stub.xodr"
+    path.write_text(ring.replace("</OpenDRIVE>", f"{stub}</OpenDRIVE>"))
+    entry = world.import_map(path, None, False)
+    assert entry.description.endswith("; 0.38 km left out: dead ends, or apart from the rest")
+    check_town(load_town("stub"))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("T3", "'T3' is a built-in map"),
+        ("t3", "'T3' is a built-in map"),
+        ("ring", "'ring' differs from the imported map 'Ring' in case only"),
+        ("All", "'all' is a word of its own"),
+        ("3rd", "'3rd' cannot be the name of a map"),
+        ("a b", "cannot be the name of a map. Allowed: a letter, then"),
+        ("../up", "cannot be the name of a map"),
+        ("a/b", "cannot be the name of a map"),
+        ("Städte", "cannot be the name of a map"),
+        ("", "'' cannot be the name of a map"),
+        ("x" * 65, "cannot be the name of a map"),
+        ("a\n", "cannot be the name of a map"),
+    ],
+)
+def test_a_name_that_cannot_be_used(world: Highway, data: Path, ring: Path, name: str, message: str) -> None:
+    world.import_map(ring, None, False)
+    with pytest.raises(MapError) as caught:
+        world.import_map(ring, name, True)
+    assert str(caught.value).startswith("--name: ")
+    assert message in str(caught.value)
+    assert "--name" in (caught.value.hint or "")
+    assert kept(data) == ["Ring.xodr.gz"]
+
+
+def test_maps_are_listed_in_the_order_of_their_numbers(world: Highway, ring: Path) -> None:
+    for name in ("b10", "a", "b9"):
+        world.import_map(ring, name, False)
+    assert world.maps() == (*MAPS, "a", "b9", "b10")
+
+
+def test_what_is_no_imported_town_is_not_listed(world: Highway, data: Path, ring: Path) -> None:
+    world.import_map(ring, None, False)
+    folder = data / "maps"
+    for name in ("T1.xodr.gz", ".Ring.xodr.gz.abc", "notes.txt", "a b.xodr.gz"):
+        (folder / name).write_bytes(b"")
+    (folder / "sub.xodr.gz").mkdir()
+    assert world.maps() == (*MAPS, "Ring")
+
+
+def test_a_town_put_there_by_hand_can_be_driven(world: Highway, data: Path) -> None:
+    folder = data / "maps"
+    folder.mkdir(parents=True)
+    (folder / "hand.xodr.gz").write_bytes(gzip.compress(stadium()))
+    assert world.map_entries()[-1] == MapEntry("hand", "imported", "")
+    check_town(load_town("hand"))
+    (folder / "hand.xodr.gz").write_bytes(b"\x1f\x8b\x08\x10broken")
+    with pytest.raises(MapError, match=r"hand.xodr.gz: the compressed file is damaged"):
+        load_town("hand")
+    world.remove_map("hand")
+
+
+@pytest.mark.parametrize("name", ["T1", "nothing"])
+def test_what_cannot_be_removed(world: Highway, name: str) -> None:
+    with pytest.raises(MapError, match=r"built-in map|none has been imported"):
+        world.remove_map(name)
+
+
+def test_removing_a_misspelt_town_suggests_one(world: Highway, ring: Path) -> None:
+    world.import_map(ring, "Town03", False)
+    with pytest.raises(MapError, match="unknown imported map 'Town30'; did you mean 'Town03'"):
+        world.remove_map("Town30")
+
+
+@pytest.mark.parametrize("call", ["write", "os.fsync", "os.replace", "tempfile.mkstemp", "mkdir"])
+def test_a_full_disk_leaves_nothing_behind(
+    world: Highway, data: Path, ring: Path, call: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world.import_map(ring, "old", False)
+    before = (data / "maps" / "old.xodr.gz").read_bytes()
+    ring.write_bytes(stadium(radius=40.0))
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    class FullFile:
+        def __init__(self, handle: int, mode: str) -> None:
+            self.handle = handle
+
+        def __enter__(self) -> FullFile:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            os.close(self.handle)
+
+        write = full
+
+    with monkeypatch.context() as patch:
+        if call == "write":
+            patch.setattr("os.fdopen", FullFile)
+        elif call == "mkdir":
+            patch.setattr(Path, "mkdir", full)
+        else:
+            patch.setattr(call, full)
+        for name in ("new", "old"):
+            with pytest.raises(MapError, match=r"cannot be written: No space left on device. Nothing was kept"):
+                world.import_map(ring, name, True)
+    assert kept(data) == ["old.xodr.gz"]
+    assert (data / "maps" / "old.xodr.gz").read_bytes() == before
+
+
+def test_a_file_where_the_folder_should_be(world: Highway, data: Path, ring: Path) -> None:
+    data.write_text("not a folder")
+    assert world.maps() == MAPS
+    for use in (world.map_entries, lambda: world.import_map(ring, None, False), lambda: world.remove_map("x")):
+        with pytest.raises(MapError, match="data"):
+            use()
+    assert load_town("T2").name == "T2"
+
+
+def test_odd_sources_are_map_errors(world: Highway, data: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.xodr")
+    for path, message in (
+        (tmp_path / "none.xodr", "cannot be read .No such file"),
+        (tmp_path, "cannot be read .is a folder"),
+        (tmp_path / "pipe.xodr", "is no ordinary file"),
+        (Path("/dev/zero"), "is no ordinary file"),
+        (tmp_path / "a\0b.xodr", "null"),
+    ):
+        with pytest.raises(MapError, match=message):
+            world.import_map(path, "odd", False)
+    assert kept(data) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_an_unreadable_file_is_named(world: Highway, ring: Path) -> None:
+    ring.chmod(0)
+    with pytest.raises(MapError, match=r"Ring.xodr: cannot be read \(Permission denied\)"):
+        world.import_map(ring, None, False)
+
+
+def test_a_refusal_to_open_is_a_map_error(world: Highway, ring: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(MapError, match=r"Ring.xodr: cannot be read \(Permission denied\)"):
+        world.import_map(ring, None, False)
+
+
+def test_what_is_too_large_is_refused_before_it_fills_memory(
+    world: Highway, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    squeeze = zlib.compressobj(9, zlib.DEFLATED, 31)
+    bomb = tmp_path / "bomb.xodr.gz"
+    blank = b" " * 2**20
+    bomb.write_bytes(b"".join(squeeze.compress(blank) for _ in range(300)) + squeeze.flush())
+    assert bomb.stat().st_size < 2**20
+    with pytest.raises(MapError, match="more than 256 MiB of XML"):
+        world.import_map(bomb, None, False)
+    monkeypatch.setattr(opendrive_source, "LARGEST", 1000)
+    plain = tmp_path / "plain.xodr"
+    plain.write_bytes(stadium())
+    with pytest.raises(MapError, match="more than 0 MiB of XML"):
+        world.import_map(plain, None, False)
+    assert kept(data) == []
+
+
+def test_entities_that_blow_up_and_deep_files_are_refused(world: Highway, tmp_path: Path) -> None:
+    lines = ['<!ENTITY a "aaaaaaaaaa">']
+    lines += [f'<!ENTITY {chr(98 + i)} "{f"&{chr(97 + i)};" * 10}">' for i in range(11)]
+    path = tmp_path / "laughs.xodr"
+    path.write_text(f"<!DOCTYPE x [{''.join(lines)}]><OpenDRIVE>&l;</OpenDRIVE>")
+    with pytest.raises(MapError, match="not well-formed XML"):
+        world.import_map(path, None, False)
+    path.write_text(f"<OpenDRIVE>{'<lane>' * 200_000}{'</lane>' * 200_000}</OpenDRIVE>")
+    with pytest.raises(MapError, match="has no <road>"):
+        world.import_map(path, None, False)
+
+
+def test_a_town_too_slow_to_drive_is_refused(world: Highway, tmp_path: Path) -> None:
+    path = tmp_path / "slow.xodr"
+    path.write_bytes(stadium().replace(b'max="50"', b'max="0.5"'))
+    with pytest.raises(MapError, match=r"slow.xodr: the longest route found is 0\.9 m"):
+        world.import_map(path, None, False)
+
+
+def test_facts_have_references_for_built_in_towns_only(world: Highway, ring: Path) -> None:
+    world.import_map(ring, "Town02", False)
+    measured, own = world.map_facts("T2"), world.map_facts("Town02")
+    assert all(isinstance(row, FactRow) for row in (*measured, *own))
+    assert any(row.within is not None for row in measured)
+    assert {row.reference for row in own} == {None}
+    with pytest.raises(MapError, match="unknown map 'T22'"):
+        world.map_facts("T22")
+
+
+def test_a_plan_is_a_picture_that_depends_on_the_seed(world: Highway) -> None:
+    first, again, other = (world.map_plan("T2", seed) for seed in (1, 1, 2))
+    assert first.dtype == np.uint8
+    assert first.ndim == 3
+    assert first.shape[2] == 3
+    assert np.array_equal(first, again)
+    assert first.shape != other.shape or not np.array_equal(first, other)
+
+
+def test_without_the_variable_the_systems_own_folder_is_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("ME3BEV_DATA")
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert library_store.folder().parts[-2:] == ("me3bev", "maps")
+    monkeypatch.setenv("ME3BEV_DATA", "~/towns")
+    assert library_store.folder() == Path.home() / "towns" / "maps"
+
+
+def test_another_process_sees_the_town(world: Highway, ring: Path) -> None:
+    world.import_map(ring, "shared", False)
+    code = "from me3bev_plugins.simulator.highway.maps import load_town; print(load_town('shared').description)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == load_town("shared").description
+
+
+def test_a_document_without_a_course_says_so(world: Highway, tmp_path: Path) -> None:
+    path = tmp_path / "line.xodr"
+    path.write_bytes(document(RoadText("1", '<geometry s="0" x="0" y="0" hdg="0" length="50"><line/></geometry>', 50)))
+    with pytest.raises(MapError, match=r"line.xodr: no driving lane leads back to where it began"):
+        world.import_map(path, None, False)
