@@ -12,8 +12,8 @@ from me3bev_cli.api import BEV_CLASSES
 from me3bev_plugins.simulator.highway.geometry import Shape
 from me3bev_plugins.simulator.highway.ground import ground_of
 from me3bev_plugins.simulator.highway.ground_tiles import Paint, Tiles, lookup
-from me3bev_plugins.simulator.highway.raster import LABELS, NUMBERS, SHAPE, X, Y
-from me3bev_plugins.simulator.highway.town import Signal, Town
+from me3bev_plugins.simulator.highway.raster_buffers import LABELS, NUMBERS, SHAPE, X, Y
+from me3bev_plugins.simulator.highway.town import Building, Prop, Signal, Town
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,7 +25,22 @@ REPEATER = 2.6
 BUILDING = BEV_CLASSES.index("building")
 _HEAD = (0.4, 0.62, 1.5)
 """Size of a signal head, metres."""
-_RANGE = {Shape.BUILDING: 220.0, Shape.TREE: 130.0, Shape.CONIFER: 130.0, Shape.POLE: 90.0, Shape.SIGNAL: 120.0}
+_RANGE = {
+    Shape.BUILDING: 220.0,
+    Shape.HOUSE: 220.0,
+    Shape.TREE: 130.0,
+    Shape.CONIFER: 130.0,
+    Shape.POPLAR: 130.0,
+    Shape.LAMP: 90.0,
+    Shape.POLE: 90.0,
+    Shape.SIGNAL: 120.0,
+    Shape.BOX: 140.0,
+}
+LOW_HOUSE = 9.6
+"""Houses up to this height have gabled roofs, metres."""
+ARM = 2.2
+"""Length of a street lamp's arm, metres."""
+_ROOFS = ((142, 74, 56), (96, 88, 86), (120, 84, 66), (84, 92, 104))
 _LEAVES = np.array([(70, 104, 48), (84, 116, 52), (60, 94, 54), (98, 118, 50)], np.float64)
 _NEEDLES = np.array([(44, 78, 52), (52, 86, 54)], np.float64)
 
@@ -37,6 +52,8 @@ class Scenery(NamedTuple):
     label: Ints
     reach: Floats
     """(N,) farthest distance at which each is drawn."""
+    side: NDArray[np.int8]
+    """(N,) the ground level from which each is seen, -1 for both."""
     start: Ints
     """(rows * columns + 1,) first thing of each square."""
     rows: int
@@ -61,6 +78,7 @@ class _Packer:
     def __init__(self) -> None:
         self.numbers: list[list[float]] = []
         self.labels: list[list[int]] = []
+        self.sides: list[int] = []
 
     def add(
         self,
@@ -74,33 +92,24 @@ class _Packer:
         semantic: int = 0,
         identity: int = -1,
         state: int = 0,
+        side: int = -1,
     ) -> None:
         radius = 0.5 * float(np.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2))
         packed = 65536 * second[0] + 256 * second[1] + second[2]
         pose = [at[0], at[1], float(np.cos(heading)), float(np.sin(heading))]
         self.numbers.append([*pose, *size, *colour, float(packed), base, radius])
         self.labels.append([int(shape), semantic, identity, state])
+        self.sides.append(side)
 
 
 def build_scenery(town: Town) -> Scenery:
     """Buildings, trees, poles, signal heads with what carries them, and signs."""
     packer = _Packer()
-    for building in town.buildings:
-        red, green, blue = building.colour
-        roof = (red // 3 + 50, green // 3 + 50, blue // 3 + 50)
-        size = (*building.size, building.height)
-        packer.add(Shape.BUILDING, building.centre, building.heading, size, (red, green, blue), roof, semantic=BUILDING)
+    for k, building in enumerate(town.buildings):
+        _add_building(packer, k, building)
+    roads = town.arrays.xyz[:, :2]
     for k, prop in enumerate(town.props):
-        turn = 2.4 * k
-        if prop.kind == "tree":
-            conifer = k % 5 == 0
-            table = _NEEDLES if conifer else _LEAVES
-            spread = 2 * prop.radius
-            leaf = table[(k * 7) % len(table)]
-            shape = Shape.CONIFER if conifer else Shape.TREE
-            packer.add(shape, prop.position, turn, (spread, spread, prop.height), (leaf[0], leaf[1], leaf[2]))
-        else:
-            packer.add(Shape.POLE, prop.position, turn, (0.22, 0.22, prop.height))
+        _add_prop(packer, k, prop, roads)
     for signal in town.signals:
         _add_signal(packer, town, signal)
     for sign in town.signs:
@@ -109,6 +118,31 @@ def build_scenery(town: Town) -> Scenery:
         ahead = np.array(sign.position[:2]) - 0.08 * np.array([np.cos(sign.heading), np.sin(sign.heading)])
         packer.add(shape, (float(ahead[0]), float(ahead[1])), sign.heading, (0.8, 0.8, 0.8), base=1.9)
     return _sorted(packer, town)
+
+
+def _add_building(packer: _Packer, k: int, building: Building) -> None:
+    red, green, blue = building.colour
+    low = building.height <= LOW_HOUSE
+    roof = _ROOFS[k % len(_ROOFS)] if low else (red // 3 + 50, green // 3 + 50, blue // 3 + 50)
+    shape, size = Shape.HOUSE if low else Shape.BUILDING, (*building.size, building.height)
+    colour = (red, green, blue)
+    packer.add(
+        shape, building.centre, building.heading, size, colour, roof, semantic=BUILDING, state=building.style % 4
+    )
+
+
+def _add_prop(packer: _Packer, k: int, prop: Prop, roads: Floats) -> None:
+    """A tree of one of three kinds, or a street lamp whose arm reaches over the road."""
+    if prop.kind == "pole":
+        nearest = roads[np.argmin(((roads - np.array(prop.position)) ** 2).sum(1))]
+        turn = float(np.arctan2(nearest[1] - prop.position[1], nearest[0] - prop.position[0]))
+        packer.add(Shape.LAMP, prop.position, turn, (2 * ARM, 0.4, prop.height))
+        return
+    shape = (Shape.CONIFER, Shape.TREE, Shape.TREE, Shape.POPLAR, Shape.TREE)[k % 5]
+    table = _NEEDLES if shape is Shape.CONIFER else _LEAVES
+    leaf = table[(k * 7) % len(table)]
+    spread = 2 * prop.radius
+    packer.add(shape, prop.position, 2.4 * k, (spread, spread, prop.height), (leaf[0], leaf[1], leaf[2]))
 
 
 def _add_signal(packer: _Packer, town: Town, signal: Signal) -> None:
@@ -163,6 +197,7 @@ def _sorted(packer: _Packer, town: Town) -> Scenery:
         number=np.ascontiguousarray(number[order]),
         label=np.ascontiguousarray(label[order]),
         reach=reach,
+        side=np.array(packer.sides, np.int8)[order],
         start=np.searchsorted(square[order], np.arange(rows * columns + 1)).astype(np.int64),
         rows=rows,
         columns=columns,

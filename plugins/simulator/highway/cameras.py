@@ -1,7 +1,7 @@
 """The six cameras: pictures and truth of a scene, drawn from the town's ground and meshes.
 
-Everything is drawn on a flat ground at the ego's height, so hills are felt by the vehicles but not seen, and
-only what is on the ego's own level appears.
+Everything is drawn on a flat ground at the ego's height, so hills are felt by the vehicles but not seen. Where
+roads cross above one another, the ego's own level is drawn, and of the other one its deck, piers and parapets.
 """
 
 from __future__ import annotations
@@ -13,12 +13,17 @@ from me3bev_cli.api import Rig
 from me3bev_plugins.simulator.highway.camera_things import Gathering
 from me3bev_plugins.simulator.highway.geometry import meshes
 from me3bev_plugins.simulator.highway.ground import ground_of
-from me3bev_plugins.simulator.highway.raster import SHAPE, Canvas, Lenses, draw
-from me3bev_plugins.simulator.highway.raster_colour import AMBIENT, DIRECT, SUN, backdrop, paint
+from me3bev_plugins.simulator.highway.raster import draw
+from me3bev_plugins.simulator.highway.raster_backdrop import backdrop
+from me3bev_plugins.simulator.highway.raster_buffers import SHAPE, Lenses, make_canvas
+from me3bev_plugins.simulator.highway.raster_colour import paint
+from me3bev_plugins.simulator.highway.raster_dress import light_of
+from me3bev_plugins.simulator.highway.raster_shadow import cast, make_shadows, shade
 from me3bev_plugins.simulator.highway.raster_truth import read_truth
 from me3bev_plugins.simulator.highway.scene import Scene
 from me3bev_plugins.simulator.highway.town import Town
 
+_NO_WARMTH = np.zeros(0, np.int32)
 SIGHT = 220.0
 """Nothing farther than this is drawn, metres."""
 
@@ -38,15 +43,27 @@ class Cameras:
         self._meshes = meshes()
         self._faces_of = np.diff(self._meshes.face_start)
         self._lenses = _lenses(rig)
-        self._backdrop = backdrop(rig, self._tiles.cell)
-        self._canvas = _canvas(rig.image_size, 1024)
+        self._canvas = make_canvas(rig.image_size, 1024)
+        self._shadows = make_shadows(256)
 
     def render(self, scene: Scene, out: NDArray[np.uint8]) -> None:
         """Writes the pictures, r g b, into `out` (C, 3, H, W)."""
-        pose, count, level, sun = self._frame(scene)
+        weather = scene.weather
+        pose, count, level, light = self._frame(scene)
+        things, lenses, canvas = self._near.things, self._lenses, self._canvas
+        drop = backdrop(self.rig, weather, self._tiles.cell)
+        shadows = 0
+        if weather.shadow < 1.0:
+            if count > len(self._shadows.corners):
+                self._shadows = make_shadows(2 * count)
+            shadows = cast(things, count, light[:3], weather.cast, self._shadows)
+        bearing = float(np.arctan2(light[1], light[0]))
+        low_sun = weather.cast and weather.sun[2] < 0.5
         for i in range(len(self.rig.cameras)):
-            draw(i, self._lenses, self._meshes, self._near.things, count, sun, self._canvas)
-            paint(i, self._lenses, self._backdrop, self._tiles, level, pose, self._canvas, out[i])
+            draw(i, lenses, self._meshes, things, count, light, canvas)
+            shade(i, lenses, self._shadows, shadows, canvas)
+            warmth = _warmth(drop.azimuth[i], bearing) if low_sun else _NO_WARMTH
+            paint(i, lenses, drop, self._tiles, level, pose, light, drop.lamp[i], warmth, canvas, out[i])
 
     def truth(self, scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Depth along the optical axis (C, H, W), metres, inf in the sky; classes (C, H, W) as `BEV_CLASSES`."""
@@ -58,22 +75,27 @@ class Cameras:
         shape = (len(self.rig.cameras), *self.rig.image_size)
         depth, semantics = np.empty(shape, np.float32), np.empty(shape, np.uint8)
         instances = np.empty(shape, np.int32)
-        pose, count, level, sun = self._frame(scene)
-        fixed = (self._lenses, self._backdrop, self._tiles, level, pose, self._near.things, self._canvas)
+        pose, count, level, light = self._frame(scene)
+        drop = backdrop(self.rig, scene.weather, self._tiles.cell)
+        fixed = (self._lenses, drop, self._tiles, level, pose, self._near.things, self._canvas)
         for i in range(shape[0]):
-            draw(i, self._lenses, self._meshes, self._near.things, count, sun, self._canvas)
+            draw(i, self._lenses, self._meshes, self._near.things, count, light, self._canvas)
             read_truth(i, *fixed, depth[i], semantics[i], instances[i])
         return depth, semantics, instances
 
     def _frame(self, scene: Scene) -> tuple[NDArray[np.float64], int, int, NDArray[np.float64]]:
-        """Gathers what is near: the ego's pose, how many things, the ground level, the sun in the ego frame."""
+        """Gathers what is near: the ego's pose, how many things, the ground level, the light in the ego frame."""
         pose, count, level = self._near.collect(scene, SIGHT)
         faces = int(self._faces_of[self._near.things.label[:count, SHAPE]].sum())
         if faces > len(self._canvas.style):
-            self._canvas = _canvas(self.rig.image_size, 2 * faces)
-        cos, sin = pose[2], pose[3]
-        sun = np.array([cos * SUN[0] + sin * SUN[1], cos * SUN[1] - sin * SUN[0], SUN[2], AMBIENT, DIRECT])
-        return pose, count, level, sun
+            self._canvas = make_canvas(self.rig.image_size, 2 * faces)
+        return pose, count, level, light_of(scene.weather, float(pose[2]), float(pose[3]))
+
+
+def _warmth(azimuth: NDArray[np.float64], bearing: float) -> NDArray[np.int32]:
+    """How much of a low sun's glow each column of the sky has, of 256."""
+    near = 0.5 + 0.5 * np.cos(azimuth - bearing)
+    return np.asarray((250 * near**3).astype(np.int32))
 
 
 def _lenses(rig: Rig) -> Lenses:
@@ -82,15 +104,4 @@ def _lenses(rig: Rig) -> Lenses:
         rotation=np.ascontiguousarray(poses[:, :3, :3].transpose(0, 2, 1)),
         position=np.ascontiguousarray(poses[:, :3, 3]),
         pinhole=np.array([(c.fx, c.fy, c.cx, c.cy) for c in rig.cameras], np.float64),
-    )
-
-
-def _canvas(size: tuple[int, int], faces: int) -> Canvas:
-    return Canvas(
-        inverse=np.zeros(size, np.float32),
-        face=np.full(size, -1, np.int32),
-        colour=np.zeros((faces, 3), np.float32),
-        style=np.zeros(faces, np.int32),
-        owner=np.zeros(faces, np.int32),
-        wall=np.zeros((faces, 10), np.float32),
     )

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.ground_grain import plain_tiles
 from me3bev_plugins.simulator.highway.ground_levels import Levels, find_levels, level_count, sides
 from me3bev_plugins.simulator.highway.ground_paint import Painted, base_polygons, lane_polygons, line_polygons
 from me3bev_plugins.simulator.highway.ground_tiles import (
-    BASES,
     MIX,
     MIX_AS,
+    PLAIN_TILES,
     RECORD,
     TILE,
     Paint,
@@ -85,9 +86,10 @@ def build_ground(town: Town) -> Ground:
     floor = _gather([*base_polygons(town), *lane_polygons(town)], town, levels, origin)
     lines = _gather(line_polygons(town), town, levels, origin)
     table = np.zeros((level_count(levels), rows, columns), np.int32)
-    chunks = [np.repeat(np.arange(BASES, dtype=np.uint8), RECORD)]
+    plain = plain_tiles()
+    chunks = [plain]
     wanted = np.ones((rows, columns), bool)
-    count = BASES
+    count = PLAIN_TILES
     for level in range(len(table)):
         if level > 0:
             table[level], wanted = table[0], _differing(floor, (rows, columns)) | _differing(lines, (rows, columns))
@@ -98,7 +100,7 @@ def build_ground(town: Town) -> Ground:
             raster = _paint_band(floor, lines, level, first * TILE, len(index) * TILE, columns * TILE)
             end = index_tiles(raster, index, here, count)
             data = np.zeros((end - count) * RECORD, np.uint8)
-            fill_tiles(raster, index, count, data, MIX, MIX_AS)
+            fill_tiles(raster, index, count, data, plain, MIX, MIX_AS)
             chunks.append(data)
             count = end
     return Ground(Tiles(table=table, data=np.concatenate(chunks), origin=origin, cell=CELL), levels)

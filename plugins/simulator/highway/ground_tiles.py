@@ -1,8 +1,8 @@
 """The ground as tiles: painting polygons into a class raster, packing it with mip levels, and looking it up.
 
-A raster cell holds a code: a base class (`Paint` below) or, in the coarser mip levels, a mix of two of them
-in eighths. Tiles of 32 x 32 cells keep all their mip levels together; tiles of one class are stored once, so
-a large town costs what its roads cost.
+A raster cell holds a code: a base class (`Paint` below) with one of eight shades or, in the coarser mip levels, a
+mix of two classes in eighths. Tiles of 32 x 32 cells keep all their mip levels together; tiles of one class are
+stored once for each place in the pattern of shades, so a large town costs what its roads cost.
 """
 
 from __future__ import annotations
@@ -23,6 +23,12 @@ LEVELS = 6
 OFFSETS = np.array([0, 1024, 1280, 1344, 1360, 1364], np.int64)
 """Where each level begins within a tile's record."""
 RECORD = 1368
+PAINTED = 1365
+"""Byte of a tile's record that says whether lines or crossings are in it."""
+SHADES = 8
+"""Brightness steps of the ground's grain."""
+PATTERN = 4
+"""The grain repeats after this many tiles."""
 
 
 class Paint(IntEnum):
@@ -67,8 +73,14 @@ def _mix_codes() -> tuple[Bytes, NDArray[np.int64]]:
 
 
 _FIRST_PAINT, _LAST_PAINT = int(Paint.WHITE), int(Paint.ZEBRA)
+_ZEBRA_GAP = int(Paint.ZEBRA_GAP)
 MIX, MIX_PARTS = _mix_codes()
 CODES = len(MIX_PARTS)
+"""Classes and mixes; what cells hold is a class times SHADES plus a shade, or MIX_FIRST plus a mix."""
+MIX_FIRST = BASES * SHADES
+PLAIN_TILES = BASES * PATTERN * PATTERN
+"""Records of tiles of one class."""
+_SHIFT = np.int64(MIX_FIRST - BASES)
 
 
 class Tiles(NamedTuple):
@@ -178,7 +190,10 @@ def lay_kerbs(raster: Bytes, asphalt: int, sidewalk: int, kerb: int, reach: int)
 
 @njit(cache=True, error_model="numpy")
 def index_tiles(raster: Bytes, index: NDArray[np.int32], wanted: NDArray[np.bool_], count: int) -> int:
-    """Numbers the wanted tiles that need a record of their own from `count` on; returns the new count."""
+    """Numbers the wanted tiles that need a record of their own from `count` on; returns the new count.
+
+    The raster begins at a multiple of PATTERN tiles.
+    """
     for ty in range(index.shape[0]):
         for tx in range(index.shape[1]):
             if not wanted[ty, tx]:
@@ -191,7 +206,7 @@ def index_tiles(raster: Bytes, index: NDArray[np.int32], wanted: NDArray[np.bool
                 if not uniform:
                     break
             if uniform:
-                index[ty, tx] = code
+                index[ty, tx] = (np.int64(code) * PATTERN + (ty & 3)) * PATTERN + (tx & 3)
             else:
                 index[ty, tx] = count
                 count += 1
@@ -200,9 +215,19 @@ def index_tiles(raster: Bytes, index: NDArray[np.int32], wanted: NDArray[np.bool
 
 @njit(cache=True, error_model="numpy")
 def fill_tiles(
-    raster: Bytes, index: NDArray[np.int32], first: int, data: Bytes, mix: Bytes, mix_as: NDArray[np.int64]
+    raster: Bytes,
+    index: NDArray[np.int32],
+    first: int,
+    data: Bytes,
+    plain: Bytes,
+    mix: Bytes,
+    mix_as: NDArray[np.int64],
 ) -> None:
-    """Writes the records numbered `first` and above, the first at the beginning of `data`: cells and mip levels."""
+    """Writes the records numbered `first` and above, the first at the beginning of `data`: cells and mip levels.
+
+    Args:
+        plain: `plain_tiles()`, which hold the shades.
+    """
     bases = mix.shape[0]
     counts = np.zeros((TILE, TILE, bases), np.int32)
     for ty in range(index.shape[0]):
@@ -210,12 +235,15 @@ def fill_tiles(
             if index[ty, tx] < first:
                 continue
             at = (index[ty, tx] - first) * RECORD
+            shades = ((ty & 3) * PATTERN + (tx & 3)) * RECORD
             counts[:] = 0
             for y in range(TILE):
                 for x in range(TILE):
                     code = raster[ty * TILE + y, tx * TILE + x]
-                    data[at + y * TILE + x] = code
+                    data[at + y * TILE + x] = code * SHADES + plain[shades + y * TILE + x]
                     counts[y, x, mix_as[code]] = 1
+                    if _FIRST_PAINT <= code <= _ZEBRA_GAP:
+                        data[at + PAINTED] = 1
             size = TILE
             for level in range(1, LEVELS):
                 size //= 2
@@ -228,7 +256,9 @@ def fill_tiles(
                                 + counts[2 * y + 1, 2 * x, k]
                                 + counts[2 * y + 1, 2 * x + 1, k]
                             )
-                        data[at + OFFSETS[level] + y * size + x] = _mixed(counts[y, x], mix)
+                        cell = OFFSETS[level] + y * size + x
+                        code = _mixed(counts[y, x], mix)
+                        data[at + cell] = code * SHADES + plain[shades + cell] if code < bases else code + _SHIFT
 
 
 @njit(cache=True, error_model="numpy")
@@ -257,14 +287,15 @@ def lookup(index: NDArray[np.int32], data: Bytes, row: int, column: int) -> np.u
     ty, tx = row >> 5, column >> 5
     if ty < 0 or tx < 0 or ty >= index.shape[0] or tx >= index.shape[1]:
         return np.uint8(0)
-    return np.uint8(data[index[ty, tx] * RECORD + ((row & 31) << 5) + (column & 31)])
+    return np.uint8(data[index[ty, tx] * RECORD + ((row & 31) << 5) + (column & 31)] >> 3)
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def lookup_mip(index: NDArray[np.int32], data: Bytes, row: int, column: int, level: int) -> np.uint8:
-    """The code of the mip cell that holds a cell; grass outside the raster."""
+    """The class or mix (0..CODES - 1) of the mip cell that holds a cell; grass outside the raster."""
     ty, tx = row >> 5, column >> 5
     if ty < 0 or tx < 0 or ty >= index.shape[0] or tx >= index.shape[1]:
         return np.uint8(0)
     at = (((row & 31) >> level) << (5 - level)) + ((column & 31) >> level)
-    return np.uint8(data[index[ty, tx] * RECORD + OFFSETS[level] + at])
+    code = data[index[ty, tx] * RECORD + OFFSETS[level] + at]
+    return np.uint8(code >> 3 if code < MIX_FIRST else code - _SHIFT)

@@ -24,9 +24,15 @@ class Role(IntEnum):
     GREEN = 11
     SIGN_RED = 12
     SIGN_WHITE = 13
-    SHADOW = 14
-    WALL = 15
-    PLATE = 16
+    WALL = 14
+    PLATE = 15
+    LEAF = 16
+    """As the first, a little different from face to face."""
+    LAMP = 17
+    """Of a street."""
+    SKIN_DARK = 18
+    HAIR = 19
+    RUBBER = 20
 
 
 COLOURS = np.array(
@@ -46,8 +52,12 @@ COLOURS = np.array(
         (190, 22, 26),
         (240, 240, 240),
         (0, 0, 0),
-        (0, 0, 0),
         (225, 225, 215),
+        (0, 0, 0),
+        (255, 222, 160),
+        (122, 82, 60),
+        (48, 36, 30),
+        (22, 22, 24),
     ],
     np.float64,
 )

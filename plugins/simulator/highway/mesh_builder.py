@@ -61,10 +61,12 @@ class MeshBuilder:
         self.face(loops[-1], role, reach)
 
     def wheel(self, x: float, y: float, radius: tuple[float, float], outward: float, reach: float = FINE) -> None:
-        """An octagon on the ground facing +y (outward 1) or -y (outward -1)."""
+        """A tyre with its rim, on the ground, facing +y (outward 1) or -y (outward -1)."""
         turn = 2 * np.pi * (np.arange(8) + 0.5) / 8 * -outward
         points = [(x + radius[0] * float(np.cos(t)), y, radius[1] * (1 + float(np.sin(t)))) for t in turn]
-        self.face(points, Role.DARK, reach)
+        self.face(points, Role.RUBBER, reach)
+        hub = [(x + 0.5 * (px - x), y + 0.002 * outward, radius[1] + 0.5 * (pz - radius[1])) for px, _, pz in points]
+        self.face(hub, Role.METAL, 0.7 * reach)
 
     def front(self, x: float, y: Span, z: Span, role: Role, reach: float = FAR) -> None:
         """A rectangle that faces +x."""
@@ -78,10 +80,6 @@ class MeshBuilder:
         """A rectangle on the left (y > 0) or right side, facing out."""
         points = [(x[0], y, z[0]), (x[1], y, z[0]), (x[1], y, z[1]), (x[0], y, z[1])]
         self.face(points if y < 0 else points[::-1], role, reach)
-
-    def shadow(self, x: Span, y: Span) -> None:
-        z = 0.004
-        self.face([(x[0], y[0], z), (x[1], y[0], z), (x[1], y[1], z), (x[0], y[1], z)], Role.SHADOW)
 
     def lamps(self, x: float, z: Span, y: Span = (0.27, 0.46)) -> None:
         """Head lamps at +x and tail lamps at -x."""

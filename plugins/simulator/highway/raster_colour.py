@@ -1,46 +1,20 @@
-"""From the visibility buffer to the picture: sky, painted ground, walls with windows, haze."""
+"""From the visibility buffer to the picture: sky, painted ground, faces, walls with windows."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from me3bev_cli.api import Camera, Rig
-from me3bev_plugins.simulator.highway.ground_tiles import CODES, MIX_PARTS, OFFSETS, RECORD, Paint, Tiles
-from me3bev_plugins.simulator.highway.raster import SHADOW, WALL, Canvas, Lenses
+from me3bev_plugins.simulator.highway.compiled import kernel
+from me3bev_plugins.simulator.highway.ground_tiles import BASES, OFFSETS, PATTERN, RECORD, SHADES, Tiles
+from me3bev_plugins.simulator.highway.raster_backdrop import Backdrop, code_colours
+from me3bev_plugins.simulator.highway.raster_buffers import SHADED, Canvas, Floats, Lenses, Singles
+from me3bev_plugins.simulator.highway.raster_dress import BEAM, BEAM_REACH, HAZE, LIT, THICKNESS, WALL
+
+__all__ = ["BASES", "SHADES", "code_colours", "ground_row", "paint"]
 
 Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
-SHADES = 8
-"""Brightness steps of the ground's grain."""
-GRAIN = 128
-"""The grain repeats after this many cells."""
-HAZE = np.array([196.0, 206.0, 216.0])
-ZENITH = np.array([92.0, 138.0, 198.0])
-HAZE_DISTANCE = 260.0
-"""Distance at which haze hides half of a colour, metres."""
-SUN = np.array([0.35, 0.55, 0.76])
-"""Direction to the sun in the world frame."""
-AMBIENT, DIRECT = 0.62, 0.5
-_SHADOW_LIGHT = 140
-"""Of 256."""
-_PAINT_COLOURS = {
-    Paint.GRASS: (92, 122, 62),
-    Paint.ASPHALT: (84, 85, 88),
-    Paint.SIDEWALK: (158, 154, 148),
-    Paint.WHITE: (228, 228, 224),
-    Paint.YELLOW: (216, 168, 42),
-    Paint.ZEBRA: (226, 226, 222),
-    Paint.ZEBRA_GAP: (80, 81, 84),
-    Paint.PATH: (136, 122, 92),
-    Paint.KERB: (188, 186, 180),
-}
-_GRAIN_STRENGTH = np.array([0.16, 0.09, 0.07, 0.05, 0.05, 0.06, 0.09, 0.14, 0.05])
 WINDOWS = np.array(
     [(0.24, 0.76, 0.28, 0.78), (-1.0, 2.0, 0.36, 0.8), (0.3, 0.7, 0.14, 0.88), (0.12, 0.88, 0.3, 0.82)], np.float32
 )
@@ -49,78 +23,7 @@ PLINTH, CORNICE = 0.5, 0.4
 """Heights of the darker bands at a wall's foot and top, metres."""
 
 
-class Backdrop(NamedTuple):
-    """What depends on the rig only: colours of sky rows and of the ground's codes at each row's distance."""
-
-    sky: Bytes
-    """(C, H, 3)"""
-    ground: Bytes
-    """(C, H, CODES * SHADES, 3)"""
-    level: NDArray[np.int64]
-    """(C, H) mip level, -1 above the horizon."""
-    depth: Floats
-    """(C, H) distance along the optical axis of the ground, metres; 0 above the horizon."""
-    grain: Bytes
-    """(GRAIN, GRAIN) brightness step."""
-
-
-def backdrop(rig: Rig, cell: float) -> Backdrop:
-    """Tables for a rig. Cameras do not roll, so all ground in one row lies at one depth."""
-    height, _ = rig.image_size
-    count = len(rig.cameras)
-    sky = np.zeros((count, height, 3), np.uint8)
-    ground = np.zeros((count, height, CODES * SHADES, 3), np.uint8)
-    level = np.full((count, height), -1, np.int64)
-    depth = np.zeros((count, height))
-    codes = code_colours()
-    for i, camera in enumerate(rig.cameras):
-        down = -_ray_z(camera, np.arange(height, dtype=np.float64) + 0.5)
-        up = np.clip(-down / 0.45, 0.0, 1.0)[:, None] ** 0.7
-        sky[i] = HAZE + (ZENITH - HAZE) * up
-        below = down > 1e-6
-        depth[i, below] = camera.position[2] / down[below]
-        for row in np.flatnonzero(below):
-            z = depth[i, row]
-            across, along = z / camera.fx, z * z / (camera.fy * camera.position[2])
-            footprint = across**0.7 * along**0.3
-            level[i, row] = int(np.clip(np.log2(footprint / cell), 0, len(OFFSETS) - 1))
-            share = z / (z + HAZE_DISTANCE)
-            ground[i, row] = np.round(codes + (HAZE - codes) * share).clip(0, 255)
-    return Backdrop(sky=sky, ground=ground, level=level, depth=depth, grain=_grain())
-
-
-def _ray_z(camera: Camera, rows: Floats) -> Floats:
-    """Upward part of the rays through the given rows (pixels) for unit depth."""
-    down, forward = camera.camera_to_ego()[2][1], camera.camera_to_ego()[2][2]
-    return down * (rows - camera.cy) / camera.fy + forward
-
-
-def code_colours() -> Floats:
-    """(CODES * SHADES, 3) colour of each ground code at each brightness step, before haze."""
-    base = np.array([_PAINT_COLOURS[paint] for paint in Paint], np.float64)
-    first, second, share = MIX_PARTS[:, 0], MIX_PARTS[:, 1], MIX_PARTS[:, 2:] / 8
-    steps = (np.arange(SHADES) / (SHADES - 1) * 2 - 1)[None, :, None]
-    grained = base[:, None] * (1 + steps * _GRAIN_STRENGTH[:, None, None])
-    mixed = grained[first] * (1 - share[..., None]) + grained[second] * share[..., None]
-    return np.asarray(mixed.reshape(-1, 3))
-
-
-def _grain() -> Bytes:
-    """Brightness steps: fine speckle over soft patches; repeats without a seam."""
-    rng = np.random.default_rng(20240607)
-    total: Floats = np.zeros((GRAIN, GRAIN))
-    for size, weight in ((128, 0.9), (64, 0.6), (32, 0.6), (16, 0.7), (8, 0.6)):
-        noise = rng.standard_normal((size, size))
-        factor = GRAIN // size
-        wide = np.kron(noise, np.ones((factor, factor)))
-        for axis in (0, 1):
-            wide = np.mean([np.roll(wide, k, axis) for k in range(-(factor // 2), factor - factor // 2)], axis=0)
-        total += weight * wide / max(wide.std(), 1e-9)
-    rank = np.argsort(np.argsort(total.ravel())).reshape(total.shape) / total.size
-    return np.asarray((rank * SHADES).astype(np.uint8))
-
-
-@njit(cache=True, error_model="numpy")
+@kernel
 def paint(
     camera: int,
     lenses: Lenses,
@@ -128,6 +31,9 @@ def paint(
     tiles: Tiles,
     town_level: int,
     pose: Floats,
+    light: Floats,
+    lamp: Bytes,
+    warmth: NDArray[np.int32],
     canvas: Canvas,
     out: Bytes,
 ) -> None:
@@ -136,17 +42,19 @@ def paint(
     Args:
         town_level: which of the town's ground levels.
         pose: (4,) the ego's x, y, cosine and sine of heading in the world.
+        light: as `raster_dress` says.
+        lamp: (H, W) light on the ground, of 255; without pixels where it is the same everywhere.
+        warmth: (W,) of 256, how much of the sky's glow is in each column; empty where there is none.
         out: (3, H, W), written.
     """
     height, width = canvas.inverse.shape
     R, pin = lenses.rotation[camera], lenses.pinhole[camera]
-    ground = np.empty(4)
-    index = tiles.table[town_level]
+    ground, index = canvas.row, tiles.table[town_level]
+    eye, step = np.float32(lenses.position[camera, 2]), np.float32(1.0 / pin[0])
     for row in range(height):
         level = drop.level[camera, row]
         y = (row + 0.5 - pin[3]) / pin[1]
-        rise, eye = np.float32(R[1, 2] * y + R[2, 2]), np.float32(lenses.position[camera, 2])
-        step = np.float32(1.0 / pin[0])
+        rise = np.float32(R[1, 2] * y + R[2, 2])
         if level >= 0:
             ground_row(camera, lenses, drop.depth[camera, row], y, pose, tiles.origin, tiles.cell, ground)
         faces, first = canvas.face[row], 0
@@ -155,26 +63,32 @@ def paint(
             while end < width and faces[end] == face:
                 end += 1
             red, green, blue = out[0, row, first:end], out[1, row, first:end], out[2, row, first:end]
-            inverse = canvas.inverse[row, first:end]
-            style = canvas.style[face] if face >= 0 else -1
-            if style == WALL:
-                x = np.float32((first + 0.5 - pin[2]) / pin[0])
-                _paint_wall(
-                    inverse, canvas.colour[face], canvas.wall[face], x, np.float32(y), rise, eye, step, red, green, blue
-                )
-            elif style >= 0 and style != SHADOW:
-                _paint_plain(inverse, canvas.colour[face], red, green, blue)
+            if face >= 0:
+                if canvas.style[face] == WALL:
+                    w = canvas.wall[face]
+                    inverse, beam = canvas.inverse[row, first:end], canvas.beam[first:end]
+                    if light[BEAM] > 0.0 and w[15] > 0.0 and drop.cone.shape[1] > 0:
+                        _light_wall(inverse, drop.cone[camera, row, first:end], w[15] / w[13], beam)
+                    x = np.float32((first + 0.5 - pin[2]) / pin[0])
+                    ray = w[0] * x + w[1] * np.float32(y) + w[2]
+                    _paint_wall(inverse, w, ray, rise, eye, step, light, beam, red, green, blue)
+                else:
+                    colour = canvas.colour[face]
+                    red[:], green[:], blue[:] = colour[0], colour[1], colour[2]
             elif level >= 0:
-                colours = drop.ground[camera, row]
-                _paint_ground(first, level, ground, index, tiles.data, colours, drop.grain, red, green, blue)
-                if style == SHADOW:
-                    _darken(red, green, blue)
+                colours = drop.ground[camera, row, 1 if face == SHADED else 0]
+                _paint_ground(first, level, ground, index, tiles.data, colours, red, green, blue)
+                if lamp.shape[0] > 0:
+                    _light_ground(lamp[row, first:end], red, green, blue)
             else:
-                red[:], green[:], blue[:] = drop.sky[camera, row, 0], drop.sky[camera, row, 1], drop.sky[camera, row, 2]
+                sky = drop.sky[camera, row]
+                red[:], green[:], blue[:] = sky[0], sky[1], sky[2]
+                if len(warmth) > 0:
+                    _warm(drop.warm[camera, row], warmth[first:end], red, green, blue)
             first = end
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def ground_row(
     camera: int,
     lenses: Lenses,
@@ -197,15 +111,14 @@ def ground_row(
     out[3] = (pose[3] * sx + pose[2] * sy) / cell
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _paint_ground(
     first: int,
     level: int,
     ground: Floats,
     index: NDArray[np.int32],
     data: Bytes,
-    colours: Bytes,
-    grain: Bytes,
+    colours: NDArray[np.uint32],
     red: Bytes,
     green: Bytes,
     blue: Bytes,
@@ -214,87 +127,104 @@ def _paint_ground(
     column_step, row_step = np.int64(np.round(ground[2] * 65536)), np.int64(np.round(ground[3] * 65536))
     column_at = np.int64(np.floor(ground[0] * 65536)) + first * column_step
     row_at = np.int64(np.floor(ground[1] * 65536)) + first * row_step
-    bottom, right = index.shape[0], index.shape[1]
-    offset, line = OFFSETS[level], 5 - level
+    bottom, right = np.uint64(index.shape[0]), np.uint64(index.shape[1])
+    offset, line = OFFSETS[level], np.int64(5 - level)
     for column in range(len(red)):
         r, c = row_at >> 16, column_at >> 16
         ty, tx = r >> 5, c >> 5
-        code = np.int64(0)
-        if 0 <= ty < bottom and 0 <= tx < right:
-            at = ((r & 31) >> level << line) + ((c & 31) >> level)
-            code = np.int64(data[np.int64(index[ty, tx]) * RECORD + offset + at])
-        shade = code * SHADES + grain[(r >> level) & (GRAIN - 1), (c >> level) & (GRAIN - 1)]
-        red[column], green[column], blue[column] = colours[shade, 0], colours[shade, 1], colours[shade, 2]
+        record = (ty & (PATTERN - 1)) * PATTERN + (tx & (PATTERN - 1))
+        if np.uint64(ty) < bottom and np.uint64(tx) < right:
+            record = np.int64(index[np.uint64(ty), np.uint64(tx)])
+        at = record * RECORD + offset + ((r & 31) >> level << line) + ((c & 31) >> level)
+        colour = colours[np.uint64(data[np.uint64(at)])]
+        red[column], green[column], blue[column] = colour, colour >> 8, colour >> 16
         column_at += column_step
         row_at += row_step
 
 
-@njit(cache=True, error_model="numpy")
-def _darken(red: Bytes, green: Bytes, blue: Bytes) -> None:
-    """A run of ground in shadow."""
+@kernel
+def _light_ground(lamp: Bytes, red: Bytes, green: Bytes, blue: Bytes) -> None:
+    """A run of ground by the light of lamps."""
     for channel in (red, green, blue):
         for column in range(len(channel)):
-            channel[column] = (np.int32(channel[column]) * _SHADOW_LIGHT) >> 8
+            channel[column] = (np.uint16(channel[column]) * np.uint16(lamp[column])) >> 8
 
 
-@njit(cache=True, error_model="numpy")
-def _paint_plain(inverse: Singles, colour: Singles, red: Bytes, green: Bytes, blue: Bytes) -> None:
-    """A run of a face of one colour, with haze by distance."""
-    thickness = np.float32(1.0 / HAZE_DISTANCE)
-    hr, hg, hb = np.float32(HAZE[0]), np.float32(HAZE[1]), np.float32(HAZE[2])
-    r, g, b = colour[0], colour[1], colour[2]
+@kernel
+def _warm(warm: Bytes, warmth: NDArray[np.int32], red: Bytes, green: Bytes, blue: Bytes) -> None:
+    """Adds the glow of a low sun to a run of sky."""
+    r, g, b = np.int32(warm[0]), np.int32(warm[1]), np.int32(warm[2])
     for column in range(len(red)):
-        haze = thickness / (inverse[column] + thickness)
-        red[column] = np.int32(r + (hr - r) * haze)
-        green[column] = np.int32(g + (hg - g) * haze)
-        blue[column] = np.int32(b + (hb - b) * haze)
+        red[column] += (r * warmth[column]) >> 8
+        green[column] += (g * warmth[column]) >> 8
+        blue[column] += (b * warmth[column]) >> 8
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def _light_wall(inverse: Singles, cone: Singles, share: np.float32, beam: Singles) -> None:
+    """How many times brighter the own beam makes a run of a wall."""
+    one, reach = np.float32(1.0), np.float32(BEAM_REACH * BEAM_REACH)
+    for column in range(len(inverse)):
+        closeness = inverse[column] * inverse[column] * reach
+        beam[column] = one + share * cone[column] * closeness / (one + closeness)
+
+
+@kernel
 def _paint_wall(
     inverse: Singles,
-    colour: Singles,
     w: Singles,
-    x: np.float32,
-    y: np.float32,
+    ray: np.float32,
     rise: np.float32,
     eye: np.float32,
     step: np.float32,
+    light: Floats,
+    beam: Singles,
     red: Bytes,
     green: Bytes,
     blue: Bytes,
 ) -> None:
-    """A run of a wall: windows by the building's style, a plinth, a cornice, haze.
+    """A run of a wall: windows by the building's style, doors, a plinth, a cornice, haze.
 
-    Where pixels are wide against a bay, the windows fade into their mean. `rise` is how far the row's rays climb
-    per metre of depth, from the height of the `eye`.
+    Where pixels are wide against a bay, the windows fade into their mean. `ray` is how far along the wall the first
+    pixel's ray runs per metre of depth, `rise` how far it climbs, from the height of the `eye`.
     """
-    thickness, one, zero = np.float32(1.0 / HAZE_DISTANCE), np.float32(1.0), np.float32(0.0)
-    hr, hg, hb = np.float32(HAZE[0]), np.float32(HAZE[1]), np.float32(HAZE[2])
+    one, zero, full = np.float32(1.0), np.float32(0.0), np.float32(255.0)
+    thickness = np.float32(light[THICKNESS])
+    hr, hg, hb = np.float32(light[HAZE]), np.float32(light[HAZE + 1]), np.float32(light[HAZE + 2])
     left, right, low, high = WINDOWS[int(w[8]), 0], WINDOWS[int(w[8]), 1], WINDOWS[int(w[8]), 2], WINDOWS[int(w[8]), 3]
-    cornice, own = w[6] - np.float32(CORNICE), np.int32(w[9] * np.float32(16.0))
-    ray_step, ray_start = w[0] * step, w[0] * x + w[1] * y + w[2]
-    wr, wg, wb = colour[0], colour[1], colour[2]
-    foot, bays, storeys, slope = w[3], w[4], w[5], w[7]
+    cornice, own, lit_share = w[6] - np.float32(CORNICE), np.int32(w[9] * np.float32(16.0)), np.int32(light[LIT] * 32.0)
+    ray_step, slope = w[0] * step, w[7]
+    wr, wg, wb, dim = w[10], w[11], w[12], min(one, w[13])
+    foot, bays, storeys = w[3], w[4], w[5]
     for column in range(len(red)):
         z = one / inverse[column]
-        ray = ray_start + ray_step * np.float32(column)
+        along = ray + ray_step * np.float32(column)
         up = eye + z * rise
-        u, v = (z * ray + foot) * bays, up * storeys
+        u, v = (z * along + foot) * bays, up * storeys
         bay, storey = np.int32(u), np.int32(v)
         fu, fv = u - np.float32(bay), v - np.float32(storey)
+        number = bay * np.int32(7) + storey * np.int32(13) + own
+        door = (storey < np.int32(1)) & ((bay * np.int32(5) + own) & np.int32(7) == np.int32(3))
+        door &= (np.float32(0.3) < fu) & (fu < np.float32(0.7)) & (fv < np.float32(0.72))
         inside = (left < fu) & (fu < right) & (low < fv) & (fv < high)
-        band = (up < np.float32(PLINTH)) | (up > cornice)
-        footprint = abs(z * (ray_step - slope * z * ray)) * bays
+        band = ((up < np.float32(PLINTH)) & (not door)) | (up > cornice)
+        footprint = abs(z * (ray_step - slope * z * along)) * bays
         detail = min(one, max(zero, np.float32(1.3) - np.float32(2.0) * footprint))
-        glass = np.float32(0.3) * (one - detail) + (detail if inside else zero)
+        glass = np.float32(0.3) * (one - detail) + (detail if inside | door else zero)
         glass = zero if band else glass
         keep = np.float32(0.82) if band else one - glass
-        tone = np.float32(((bay * np.int32(7) + storey * np.int32(13) + own) & np.int32(3)) * np.int32(9)) * detail
-        haze = thickness * z / (one + thickness * z)
-        r = wr * keep + (np.float32(50.0) + tone) * glass
-        g = wg * keep + (np.float32(58.0) + tone) * glass
-        b = wb * keep + (np.float32(70.0) + tone) * glass
-        red[column] = np.int32(r + (hr - r) * haze)
-        green[column] = np.int32(g + (hg - g) * haze)
-        blue[column] = np.int32(b + (hb - b) * haze)
+        lit = ((number * np.int32(11)) >> np.int32(1)) & np.int32(31) < lit_share
+        tone = np.float32((number & np.int32(3)) * np.int32(9)) * detail
+        bright = beam[column]
+        glow = glass if (lit & (not door)) else zero
+        dark = (glass - glow) * dim * bright
+        keep *= bright
+        r = min(full, wr * keep + (np.float32(50.0) + tone) * dark + np.float32(250.0) * glow)
+        g = min(full, wg * keep + (np.float32(58.0) + tone) * dark + np.float32(206.0) * glow)
+        b = min(full, wb * keep + (np.float32(70.0) + tone) * dark + np.float32(132.0) * glow)
+        clear = inverse[column] / (inverse[column] + thickness)
+        clear *= clear
+        clear *= clear
+        red[column] = np.int32(hr + (r - hr) * clear)
+        green[column] = np.int32(hg + (g - hg) * clear)
+        blue[column] = np.int32(hb + (b - hb) * clear)

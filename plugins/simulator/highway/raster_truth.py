@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.ground_tiles import SEMANTIC as GROUND_SEMANTIC
 from me3bev_plugins.simulator.highway.ground_tiles import Tiles, lookup
-from me3bev_plugins.simulator.highway.raster import IDENTITY, SEMANTIC, SHADOW, Canvas, Lenses, Things
-from me3bev_plugins.simulator.highway.raster_colour import Backdrop, ground_row
+from me3bev_plugins.simulator.highway.raster import IDENTITY, SEMANTIC, Canvas, Lenses, Things
+from me3bev_plugins.simulator.highway.raster_backdrop import Backdrop
+from me3bev_plugins.simulator.highway.raster_colour import ground_row
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def read_truth(
     camera: int,
     lenses: Lenses,
@@ -30,7 +31,7 @@ def read_truth(
     height, width = canvas.inverse.shape
     pin = lenses.pinhole[camera]
     index = tiles.table[town_level]
-    ground = np.empty(4)
+    ground = canvas.row
     for row in range(height):
         z = drop.depth[camera, row]
         if z > 0:
@@ -39,7 +40,7 @@ def read_truth(
         for column in range(width):
             face = canvas.face[row, column]
             instances[row, column] = -1
-            if face >= 0 and canvas.style[face] != SHADOW:
+            if face >= 0:
                 owner = canvas.owner[face]
                 depth[row, column] = np.float32(1.0) / canvas.inverse[row, column]
                 semantics[row, column] = things.label[owner, SEMANTIC]

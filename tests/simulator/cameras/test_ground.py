@@ -15,9 +15,12 @@ from me3bev_plugins.simulator.highway.ground_tiles import (
     BASES,
     CODES,
     MIX,
+    MIX_FIRST,
     MIX_PARTS,
     OFFSETS,
+    PLAIN_TILES,
     RECORD,
+    SHADES,
     TILE,
     Paint,
     close_gaps,
@@ -105,11 +108,12 @@ def test_mips_hold_the_shares_of_their_cells(street):
     """The coarsest level of a tile of two classes is their mix to the nearest eighth."""
     tiles = ground_of(street).tiles
     checked = 0
-    for record in range(BASES, len(tiles.data) // RECORD):
-        cells = tiles.data[record * RECORD : record * RECORD + TILE * TILE]
+    for record in range(PLAIN_TILES, len(tiles.data) // RECORD):
+        cells = tiles.data[record * RECORD : record * RECORD + TILE * TILE] // SHADES
         kinds, counts = np.unique(cells, return_counts=True)
         if set(kinds) <= {Paint.ASPHALT, Paint.GRASS, Paint.SIDEWALK} and len(kinds) == 2:
-            _, second, eighths = MIX_PARTS[tiles.data[record * RECORD + OFFSETS[5]]]
+            code = int(tiles.data[record * RECORD + OFFSETS[5]])
+            _, second, eighths = MIX_PARTS[code // SHADES if code < MIX_FIRST else code - MIX_FIRST + BASES]
             assert eighths / 8 == pytest.approx(counts[list(kinds).index(second)] / 1024, abs=0.0626)
             checked += 1
     assert checked > 5

@@ -1,19 +1,25 @@
 """Depth and classes of random scenes against a brute-force ray caster that shares no code with the rasteriser."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from me3bev_cli.api import BEV_CLASSES, ObservationConfig
+from me3bev_plugins.simulator.highway.camera_scenery import scenery_of
+from me3bev_plugins.simulator.highway.camera_things import shape_of
 from me3bev_plugins.simulator.highway.cameras import Cameras
-from me3bev_plugins.simulator.highway.geometry import Shape, meshes
-from me3bev_plugins.simulator.highway.materials import Role
+from me3bev_plugins.simulator.highway.geometry import meshes
+from me3bev_plugins.simulator.highway.ground import ground_of
+from me3bev_plugins.simulator.highway.ground_levels import hidden
+from me3bev_plugins.simulator.highway.ground_tiles import SEMANTIC as GROUND
+from me3bev_plugins.simulator.highway.ground_tiles import lookup
+from me3bev_plugins.simulator.highway.raster import BASE, COS, HEIGHT, LENGTH, SEMANTIC, SHAPE, SIN, WIDTH, X, Y
 from me3bev_plugins.simulator.highway.rig import surround_rig
 from me3bev_plugins.simulator.highway.scene import Kind, Scene
-from me3bev_plugins.simulator.highway.town import Building
+from me3bev_plugins.simulator.highway.town import Building, Prop, Sign
 
-SIZE = (48, 132)
-ROAD, SIDEWALK = BEV_CLASSES.index("road"), BEV_CLASSES.index("sidewalk")
-BUILDING, VEHICLE, PEDESTRIAN = (BEV_CLASSES.index(name) for name in ("building", "vehicle", "pedestrian"))
+VEHICLE, PEDESTRIAN = BEV_CLASSES.index("vehicle"), BEV_CLASSES.index("pedestrian")
 
 
 def rays(camera):
@@ -22,19 +28,6 @@ def rays(camera):
     flat = np.stack([u.ravel(), v.ravel(), np.ones(u.size)])
     pose = np.array(camera.camera_to_ego())
     return pose[:3, 3], (pose[:3, :3] @ np.linalg.inv(np.array(camera.intrinsics())) @ flat).T
-
-
-def hit_box(origin, directions, centre, size, heading):
-    """Entry distance of rays into a box that stands on the ground (slab method); inf for a miss."""
-    c, s = np.cos(heading), np.sin(heading)
-    turn = np.array([(c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)])
-    start, way = turn @ (origin - np.array((*centre, 0.0))), directions @ turn.T
-    half = np.array((size[0] / 2, size[1] / 2, size[2]))
-    low = np.array((-half[0], -half[1], 0.0))
-    with np.errstate(divide="ignore"):
-        one, two = (low - start) / way, (half - start) / way
-    enter, leave = np.minimum(one, two).max(1), np.maximum(one, two).min(1)
-    return np.where((enter < leave) & (enter > 0.15), enter, np.inf)
 
 
 def hit_triangle(origin, directions, a, b, c):
@@ -53,52 +46,94 @@ def hit_triangle(origin, directions, a, b, c):
     return np.where(inside, distance, np.inf)
 
 
-def actor_triangles(actors, i, ego):
-    """The triangles (N, 3, 3) of an actor's mesh in the ego frame, without its shadow."""
-    mesh, shape = meshes(), Shape(int(actors.kind[i]))
-    c, s = np.cos(actors.heading[i]), np.sin(actors.heading[i])
-    first, end = mesh.vertex_start[shape], mesh.vertex_start[shape + 1]
-    points = mesh.vertex[first:end] * (actors.length[i], actors.width[i], actors.height[i])
-    x, y = actors.x[i] + c * points[:, 0] - s * points[:, 1], actors.y[i] + s * points[:, 0] + c * points[:, 1]
-    c, s = np.cos(ego.heading), np.sin(ego.heading)
-    dx, dy = x - ego.x, y - ego.y
-    local = np.stack([c * dx + s * dy, c * dy - s * dx, points[:, 2]], axis=1)
+def mesh_triangles(shape, size, pose):
+    """The triangles (N, 3, 3) of a mesh of a size at a pose (x, y, z, heading)."""
+    mesh = meshes()
+    points = mesh.vertex[mesh.vertex_start[shape] : mesh.vertex_start[shape + 1]] * size
+    c, s = np.cos(pose[3]), np.sin(pose[3])
+    x, y = pose[0] + c * points[:, 0] - s * points[:, 1], pose[1] + s * points[:, 0] + c * points[:, 1]
+    placed = np.stack([x, y, pose[2] + points[:, 2]], axis=1)
     triangles = []
     for face in range(mesh.face_start[shape], mesh.face_start[shape + 1]):
-        if mesh.role[face] != Role.SHADOW:
-            corner = mesh.corner[face]
-            triangles += [local[[corner[0], corner[k], corner[k + 1]]] for k in range(1, mesh.corners[face] - 1)]
+        corner = mesh.corner[face]
+        triangles += [placed[[corner[0], corner[k], corner[k + 1]]] for k in range(1, mesh.corners[face] - 1)]
     return np.array(triangles)
 
 
-def cast(scene: Scene, camera):
+def world_triangles(scene: Scene, level: int):
+    """(triangles (N, 3, 3) in the world, class) of every actor and every standing thing that a ground level shows."""
+    actors, scenery, levels = scene.actors, scenery_of(scene.town), ground_of(scene.town).levels
+    for i in range(len(actors)):
+        if hidden(levels, level, actors.x[i], actors.y[i], actors.z[i]):
+            continue
+        label = PEDESTRIAN if actors.kind[i] == Kind.PEDESTRIAN else VEHICLE
+        size = (actors.length[i], actors.width[i], actors.height[i])
+        pose = (actors.x[i], actors.y[i], 0.0, actors.heading[i])
+        yield mesh_triangles(shape_of(int(actors.kind[i]), i), size, pose), label
+    for number, label, side in zip(scenery.number, scenery.label, scenery.side, strict=True):
+        if side in (-1, level):
+            pose = (number[X], number[Y], number[BASE], np.arctan2(number[SIN], number[COS]))
+            yield mesh_triangles(label[SHAPE], number[[LENGTH, WIDTH, HEIGHT]], pose), label[SEMANTIC]
+
+
+def ground_class(town, level, x, y):
+    """Class of the ground at points (N,) of the world."""
+    tiles = ground_of(town).tiles
+    column, row = ((at - low) // tiles.cell for at, low in zip((x, y), tiles.origin, strict=True))
+    cells = zip(row.astype(int), column.astype(int), strict=True)
+    return np.array([GROUND[lookup(tiles.table[level], tiles.data, r, c)] for r, c in cells])
+
+
+def cast(scene: Scene, camera, level=0):
     """Depth and class of every pixel, (H, W) each."""
-    ego, actors = scene.ego, scene.actors
+    ego = scene.ego
     origin, directions = rays(camera)
+    turn = np.array([(np.cos(ego.heading), -np.sin(ego.heading)), (np.sin(ego.heading), np.cos(ego.heading))])
+    origin, directions = origin.copy(), directions.copy()
+    origin[:2] = turn @ origin[:2] + (ego.x, ego.y)
+    directions[:, :2] = directions[:, :2] @ turn.T
     with np.errstate(divide="ignore"):
         depth = np.where(directions[:, 2] < 0, -origin[2] / directions[:, 2], np.inf)
-    near = np.where(np.isinf(depth), 0.0, depth)
-    c, s = np.cos(ego.heading), np.sin(ego.heading)
-    x, y = (origin + directions * near[:, None])[:, :2].T
-    wx, wy = ego.x + c * x - s * y, ego.y + s * x + c * y
-    across, on_map = np.abs(wy), (np.abs(wx) < 150) & np.isfinite(depth)
-    semantics = np.where(on_map & (across < 4), ROAD, np.where(on_map & (across > 4) & (across < 6), SIDEWALK, 0))
-    found = []
-    for building in scene.town.buildings:
-        dx, dy = building.centre[0] - ego.x, building.centre[1] - ego.y
-        centre, size = (c * dx + s * dy, c * dy - s * dx), (*building.size, building.height)
-        found.append((hit_box(origin, directions, centre, size, building.heading - ego.heading), BUILDING))
-    for i in range(len(actors)):
-        label = PEDESTRIAN if actors.kind[i] == Kind.PEDESTRIAN else VEHICLE
-        found += [(hit_triangle(origin, directions, *corners), label) for corners in actor_triangles(actors, i, ego)]
-    for distance, label in found:
-        semantics = np.where(distance < depth, label, semantics)
-        depth = np.minimum(depth, distance)
+    seen = np.isfinite(depth)
+    semantics = np.zeros(len(depth), int)
+    x, y = (origin + directions[seen] * depth[seen, None])[:, :2].T
+    semantics[seen] = ground_class(scene.town, level, x, y)
+    for triangles, label in world_triangles(scene, level):
+        for corners in triangles:
+            distance = hit_triangle(origin, directions, *corners)
+            semantics = np.where(distance < depth, label, semantics)
+            depth = np.minimum(depth, distance)
     return depth.reshape(camera.height, camera.width), semantics.reshape(camera.height, camera.width)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_truth_is_what_rays_hit(town_of, scene_of, seed):
+def compare(scene: Scene, height, width, level=0):
+    """Truth and ray caster agree."""
+    cameras = Cameras(scene.town, surround_rig(ObservationConfig(height=height, width=width)))
+    depth, semantics = cameras.truth(scene)
+    same, count, far_off, compared = 0, 0, 0, 0
+    for camera, drawn_depth, drawn in zip(cameras.rig.cameras, depth, semantics, strict=True):
+        expected_depth, expected = cast(scene, camera, level)
+        agree = drawn == expected
+        same, count = same + agree.sum(), count + agree.size
+        both = agree & ~np.isinf(expected_depth) & ~np.isinf(drawn_depth)
+        error = np.abs(drawn_depth[both] / expected_depth[both] - 1)
+        far_off, compared = far_off + (error >= 0.02).sum(), compared + both.sum()
+        assert (np.isinf(drawn_depth) == np.isinf(expected_depth)).mean() > 0.995
+    assert same / count >= 0.995
+    assert far_off / compared < 0.003
+
+
+def random_rows(rng, count, reach=25.0):
+    rows = []
+    while len(rows) < count:
+        x, y = rng.uniform(-reach, reach), rng.uniform(-6, 6)
+        if np.hypot(x, y + 1.75) > 4.5:
+            rows.append((x, y, rng.uniform(-3, 3), Kind(len(rows) % 5)))
+    return rows
+
+
+@pytest.mark.parametrize(("seed", "size"), [(1, (48, 132)), (2, (48, 132)), (3, (64, 96)), (4, (90, 90))])
+def test_truth_is_what_rays_hit(town_of, scene_of, seed, size):
     rng = np.random.default_rng(seed)
     buildings = tuple(
         Building(
@@ -111,23 +146,15 @@ def test_truth_is_what_rays_hit(town_of, scene_of, seed):
         for side in (-1, 1)
         for _ in range(6)
     )
-    town = town_of(markings=False, buildings=buildings)
-    rows = []
-    while len(rows) < 16:
-        x, y = rng.uniform(-25, 25), rng.uniform(-6, 6)
-        if np.hypot(x, y + 1.75) > 4.5:
-            rows.append((x, y, rng.uniform(-3, 3), Kind(int(rng.integers(5)))))
-    scene = scene_of(town, rows, ego=(0.0, -1.75, float(rng.uniform(-3, 3))))
-    cameras = Cameras(town, surround_rig(ObservationConfig(height=SIZE[0], width=SIZE[1])))
-    depth, semantics = cameras.truth(scene)
-    same, count = 0, 0
-    for camera, drawn_depth, drawn in zip(cameras.rig.cameras, depth, semantics, strict=True):
-        expected_depth, expected = cast(scene, camera)
-        agree = drawn == expected
-        same, count = same + agree.sum(), count + agree.size
-        sky = np.isinf(expected_depth)
-        np.testing.assert_array_equal(np.isinf(drawn_depth[agree]), sky[agree])
-        both = agree & ~sky
-        error = np.abs(drawn_depth[both] / expected_depth[both] - 1)
-        assert (error < 0.02).mean() > 0.999
-    assert same / count >= 0.995
+    town = town_of(buildings=buildings)
+    props = [Prop("tree", (8.0 * k - 30.0, 9.0), 7.0, 1.5) for k in range(8)]
+    signs = tuple(Sign(kind, 0, (x, -6.5, 0.0), 0.4) for kind, x in (("stop", 8.0), ("yield", 14.0)))
+    town = replace(town, props=(*town.props, *props), signs=signs)
+    scene = scene_of(town, random_rows(rng, 16), ego=(0.0, -1.75, float(rng.uniform(-3, 3))))
+    compare(scene, *size)
+
+
+def test_far_things_are_where_rays_hit_them(street, scene_of):
+    """At the distance of the plainer meshes a few pixels of a thing may differ, not more."""
+    rng = np.random.default_rng(7)
+    compare(scene_of(street, random_rows(rng, 24, reach=110.0)), 64, 176)
