@@ -96,3 +96,20 @@ def _clusters(points: list[tuple[float, float]], reach: float) -> list[tuple[flo
         if all(np.hypot(point[0] - x, point[1] - y) > reach for x, y in seeds):
             seeds.append(point)
     return seeds
+
+
+@pytest.mark.parametrize(("name", "blocks"), [("T1", 7), ("T2", 5)])
+def test_one_can_walk_round_every_block_without_crossing_a_street(name: str, blocks: int) -> None:
+    walks = load_town(name).sidewalks
+    # One ring in each block, and one round the town; so they go on round corners and past side streets.
+    assert len(walks) == blocks + 1
+    assert all(np.hypot(*(walk.points[0] - walk.points[-1])) < 1.0 for walk in walks)
+
+
+def test_the_country_has_roadsides_to_walk_on() -> None:
+    walks = load_town("T7").sidewalks
+    metres = {
+        paved: sum(np.hypot(*np.diff(walk.points, axis=0).T).sum() for walk in walks if walk.paved == paved)
+        for paved in (True, False)
+    }
+    assert metres[False] > 2 * metres[True] > 0

@@ -41,7 +41,8 @@ def find_sidewalks(shapes: Shapes, network: Network, ground: Footprint) -> tuple
     Args:
         ground: lanes and surfaces taken.
     """
-    pieces = [piece for shape in shapes.values() if is_driven(shape.road) for piece in _pieces(shape, shapes, network)]
+    walked = (shape for shape in shapes.values() if is_driven(shape.road) or shape.road.junction)
+    pieces = [piece for shape in walked for piece in _pieces(shape, shapes, network)]
     pieces = [part for piece in pieces for part in (_free_parts(piece, ground) if not piece.paved else [piece])]
     walks = []
     for kind in (True, False):

@@ -93,23 +93,29 @@ def _nodes() -> tuple[Node, ...]:
             ("high street", "mill street", (0, 65)),
         )
     )
-    yields = tuple(
-        Node(f"{one} and {other}", point, "yield", (one, other))
+    # Where three roads of equal rank meet, all of them face a yield sign.
+    equals = tuple(
+        Node(f"{one} and {other}", point, "yield", (one, other), minor=(one, other))
         for one, other, point in (
             ("loop", "north road", (-200, 162)),
             ("north road", "middle", (-74, 160)),
             ("spine", "north road", (0, 159)),
+            ("loop", "middle", (-110, -117)),
+        )
+    )
+    yields = tuple(
+        Node(f"{one} and {other}", point, "yield", (one, other))
+        for one, other, point in (
             ("high street", "green", (0, 107)),
             ("middle", "green", (-89, 108)),
             ("middle", "yard", (-100, 87)),
             ("middle", "mill road", (-101, 64)),
             ("middle", "church street", (-101, 1)),
             ("barn road", "low road", (-150, -51)),
-            ("loop", "middle", (-110, -117)),
             ("green", "lay-by", (-27, 107)),
             ("green", "lay-by", (-62, 108)),
         )
     )
     changes = ((0, 132), (-36, 64.6), (36, 5.3), (-46, -56.6), (36, -61))
     gates = tuple(Node(f"village gate {i}", point) for i, point in enumerate(changes, 1))
-    return (*lights, *stops, *yields, *gates, Node("turnaround", (-150, 93)))
+    return (*lights, *stops, *equals, *yields, *gates, Node("turnaround", (-150, 93)))
