@@ -24,9 +24,13 @@ class DriveCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Give a bare `--video` an empty value: the usual name."""
-        words = []
-        for word, after in zip(args, [*args[1:], "--"], strict=True):
-            words += [word, ""] if word == VIDEO and after.startswith("--") else [word]
+        words: list[str] = []
+        for word in args:
+            if words and words[-1] == VIDEO and word.startswith("--"):
+                words.append("")
+            words.append(word)
+        if words and words[-1] == VIDEO:
+            words.append("")
         return super().parse_args(ctx, words)
 
 

@@ -81,7 +81,7 @@ def write(
     x, y = round(at[0]) + stamp.x, round(at[1]) + stamp.y
     height, width = stamp.ink.shape[:2]
     top, left = max(0, -y), max(0, -x)
-    under = picture[y + top : y + height, x + left : x + width]
+    under = picture[y + top : max(0, y + height), x + left : max(0, x + width)]
     ink = stamp.ink[top : top + under.shape[0], left : left + under.shape[1]]
     under[:] = (under + ink * (np.array(colour, np.float32) - under) + 0.5).astype(np.uint8)
     return width

@@ -30,9 +30,12 @@ class DriveProgress:
 
     def step(self) -> None:
         """One more step."""
+        now = time.monotonic()
+        if not self.total:
+            # What goes before the first step (a map is opened, code is compiled) says nothing of the rate.
+            self.start = now
         self.steps += 1
         self.total += 1
-        now = time.monotonic()
         if now - self.shown >= (LIVE_EVERY if self.live else LINE_EVERY):
             self.shown = now
             self.stream.write(("\r\x1b[2K" if self.live else "") + self.text() + ("" if self.live else "\n"))
@@ -49,16 +52,11 @@ class DriveProgress:
             self.stream.write("\r\x1b[2K")
             self.stream.flush()
 
-    @property
-    def seconds(self) -> float:
-        """Time since the start."""
-        return time.monotonic() - self.start
-
     def text(self) -> str:
         """Episode, step, rate and the time that is left if every episode is as long as it may be."""
-        rate = self.total / max(self.seconds, 1e-9)
-        left = (self.episodes - self.done) * self.longest - self.steps
+        rate = (self.total - 1) / max(time.monotonic() - self.start, 1e-9)
+        left = max(0, (self.episodes - self.done) * self.longest - self.steps)
         return (
-            f"episode {self.done + 1}/{self.episodes}  step {self.steps}  {rate:.0f} steps/s"
-            f"  left at most {clock(left / rate)}"
+            f"episode {self.done + 1}/{self.episodes}  step {self.steps}"
+            f"  {rate:.0f} steps/s  left at most {clock(left / rate) if rate > 0 else '?'}"
         )

@@ -41,7 +41,7 @@ class Format(NamedTuple):
 FORMATS = {
     # The index goes to the front, so that a browser shows the first frame before it has the last.
     ".mp4": Format(
-        "mp4", ("libx264", "libopenh264"), {"crf": "22", "preset": "fast"}, {"movflags": "+faststart"}
+        "mp4", ("libx264", "libopenh264"), {"crf": "20", "preset": "veryfast"}, {"movflags": "+faststart"}
     ),
     ".webm": Format(
         "webm", ("libvpx-vp9",), {"crf": "30", "b": "0", "deadline": "realtime", "cpu-used": "6", "row-mt": "1"}, {}
