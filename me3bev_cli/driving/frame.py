@@ -159,6 +159,8 @@ def events_of(record: StepRecord) -> list[str]:
         events.append("ran a stop sign")
     if record["off_road"]:
         events.append("off the road")
+    elif record["lane_departure"]:
+        events.append("left its lane")
     return events
 
 

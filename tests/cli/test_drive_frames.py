@@ -62,6 +62,7 @@ def test_what_happened_in_words() -> None:
     assert events_of(record()) == []
     said = events_of(record(collision="vehicle", at_fault=True, red_light=True, off_road=True))
     assert said == ["collision: vehicle, at fault", "ran a red light", "off the road"]
+    assert events_of(record(lane_departure=True)) == ["left its lane"]
     assert events_of(record(collision="pedestrian", stop_sign=True)) == ["collision: pedestrian", "ran a stop sign"]
 
 
