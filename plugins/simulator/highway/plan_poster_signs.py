@@ -23,6 +23,8 @@ SITE = 40.0
 """Metres; crossings on two levels nearer to each other are one place."""
 HILL, APART = 2.0, 120.0
 """Least height of a hilltop that is labelled, and distance from another, metres."""
+RAMPS = 200.0
+"""Metres around a bridge within which heights are those of its ramps."""
 ON_TOP = 10.0
 """Drawing order."""
 
@@ -170,12 +172,13 @@ def bridges(town: Town) -> list[tuple[float, float, float]]:
 def hilltops(town: Town) -> list[tuple[float, float, float]]:
     """(x, y, z) of the highest points of roads, away from bridges."""
     tops: list[tuple[float, float, float]] = []
-    near = [(x, y) for x, y, _ in bridges(town)]
+    near = np.array([(x, y) for x, y, _ in bridges(town)]).reshape(-1, 2)
     xyz = town.arrays.xyz
     for x, y, z in xyz[np.argsort(-xyz[:, 2], kind="stable")]:
         if z < HILL:
             break
-        if all(np.hypot(x - a, y - b) > APART for a, b, *_ in (*tops, *near)):
+        ramps = (np.hypot(x - near[:, 0], y - near[:, 1]) < RAMPS).any()
+        if not ramps and all(np.hypot(x - a, y - b) > APART for a, b, _ in tops):
             around = np.hypot(xyz[:, 0] - x, xyz[:, 1] - y) < APART
             if z >= xyz[around, 2].max() - 0.01:
                 tops.append((float(x), float(y), float(z)))

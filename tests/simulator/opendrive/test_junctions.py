@@ -108,15 +108,32 @@ def test_a_light_outranks_a_sign() -> None:
     assert (junction.control, junction.minor, town.signs) == ("signal", frozenset(), ())
 
 
-def test_posted_limits_hold_until_the_next_sign() -> None:
-    """30 km/h on the way in from the west; nothing else is posted, so it spreads to all that follows."""
-    town, _ = read(r1={"signals": signal(5, 20, -4, "274", 30) + signal(6, 20, 4, "274", 90)})
+@pytest.mark.parametrize(("far", "near", "most"), [(70, 50, 90), (20, 20, 30)])
+def test_a_lane_has_the_limit_that_holds_along_most_of_it(far: float, near: float, most: float) -> None:
+    """30 km/h on the way in from the west, 90 on the way out; nothing else is posted, so 30 spreads to all others."""
+    town, _ = read(r1={"signals": signal(5, near, -4, "274", 30) + signal(6, far, 4, "274", 90)})
     west = approaches(town)["west"]
-    # The lane leads out of the junction (90 posted at its 60th metre) and back in (30 at its 105th): the later is for
-    # what follows, the earlier for itself.
-    assert west.limit == pytest.approx(90 / 3.6)
+    # The lane of 165.5 m leads out of the junction and back in: 90 holds from its 10th (60th) metre to its 135th
+    # (105th), and 30 along the rest.
+    assert west.limit == pytest.approx(most / 3.6)
     assert all(town.lanes[n].limit == pytest.approx(30 / 3.6) for n in west.successors)
     assert approaches(town)["south"].limit == pytest.approx(30 / 3.6)
+
+
+def test_where_ways_meet_each_limit_counts_as_much_and_the_lower_wins() -> None:
+    signs = {"r1": {"signals": signal(5, 70, -4, "274", 60)}, "r2": {"signals": signal(6, 70, -4, "274", 40)}}
+    town, _ = read(**signs)
+    # Half of those who come into the south do so at 60, half at 40.
+    assert approaches(town)["south"].limit == pytest.approx(40 / 3.6)
+    # Into the west they come from the east at 40, and from the south at either: three quarters 40.
+    west = approaches(town)["west"]
+    assert west.limit == pytest.approx(40 / 3.6)
+    assert all(town.lanes[n].limit == pytest.approx(60 / 3.6) for n in west.successors)
+
+
+def test_a_single_sign_reaches_everything_that_follows() -> None:
+    town, junction = read(r3={"signals": signal(5, 70, -4, "274", 20)})
+    assert {round(town.lanes[n].limit * 3.6) for n in junction.incoming} == {20}
 
 
 def test_signs_named_as_objects_count_as_posted() -> None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections import deque
 from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
 
 from me3bev_plugins.simulator.highway.opendrive.lanes import FALLBACK, HIGHWAY, Network
 from me3bev_plugins.simulator.highway.opendrive.records import DRIVING, Document, Road, SignalRecord
 from me3bev_plugins.simulator.highway.opendrive.road_reader import UNITS
+from me3bev_plugins.simulator.highway.town import Floats
 
 SPEED_SIGN = "274"
 NAMED_SPEED = re.compile(r"sp+e+d[ _-]?(?:limit)?[ _-]?(\d{2,3})", re.IGNORECASE)
 """Sign objects of exports that carry the number in their name ("Speed_30"), km/h, in either spelling met."""
-CUT = 15.0
-"""Metres; a sign nearer to the end of a section than this counts from that end."""
+MOST_ROUNDS = 1000
+"""Lanes over which a limit is carried on at most."""
 
 
 def speed_signs(road: Road) -> Iterator[tuple[float, tuple[int, ...], float]]:
@@ -46,33 +49,53 @@ def governed_lanes(road: Road, sign: SignalRecord) -> tuple[int, ...]:
 
 
 def assign_limits(document: Document, network: Network) -> None:
-    """Set the limit of every lane of the network."""
+    """Set the limit of every lane of the network: the one that holds along most of it."""
     _nominal(network)
     lanes = network.lanes
-    posted: dict[int, float] = {}
-    after: dict[int, float] = {}
+    signs: dict[int, list[tuple[float, float]]] = {}
     for road in document.roads.values():
         for s, governed, value in speed_signs(road):
             for lane in governed:
                 found = locate(network, road, s, lane)
                 if found is not None:
                     index, share = found
-                    (posted if share < 0.5 else after)[index] = value
-    queue: deque[tuple[int, float]] = deque()
-    reached = dict(posted)
-    for index, value in posted.items():
-        if index not in after:
-            queue.append((index, value))
-    queue.extend(after.items())
-    while queue:  # Breadth first, so that the nearest sign upstream wins.
-        index, value = queue.popleft()
-        for target in lanes[index].successors:
-            if target not in reached:
-                reached[target] = value
-                if target not in after:
-                    queue.append((target, value))
-    for index, value in reached.items():
-        lanes[index].limit = value
+                    signs.setdefault(index, []).append((share, value))
+    if not signs:
+        return
+    values = sorted({value for posted in signs.values() for _, value in posted})
+    holds = _entering(network, signs, values)
+    for index, posted in signs.items():
+        cuts = [(share, values.index(value)) for share, value in sorted(posted)]
+        holds[index] *= cuts[0][0]
+        for (share, kind), (end, _) in pairwise([*cuts, (1.0, 0)]):
+            holds[index, kind] += max(end - share, 0.0)
+    holds = holds.round(6)
+    for lane, share in zip(lanes, holds, strict=True):
+        if share.max() > 0 and share.max() >= 1.0 - share.sum():
+            lane.limit = values[int(share.argmax())]  # The lowest of equals.
+
+
+def _entering(network: Network, signs: dict[int, list[tuple[float, float]]], values: list[float]) -> Floats:
+    """(L, V) share of the traffic that enters each lane under each limit; what no sign reaches is zero.
+
+    A sign holds downstream until the next one; where ways meet, each counts as much as the others.
+    """
+    edges = [(index, target) for index, lane in enumerate(network.lanes) for target in lane.successors]
+    source, target = np.array(edges, np.int64).reshape(-1, 2).T
+    entering = np.zeros((len(network.lanes), len(values)))
+    signed = np.array(list(signs), np.int64)
+    leaving = np.eye(len(values))[[values.index(max(posted)[1]) for posted in signs.values()]]
+    for _ in range(MOST_ROUNDS):
+        out = entering.copy()
+        out[signed] = leaving
+        joined = np.zeros_like(entering)
+        np.add.at(joined, target, out[source])
+        joined /= np.maximum(joined.sum(axis=1, keepdims=True), 1e-12)
+        settled = np.abs(joined - entering).max() < 1e-4
+        entering = joined
+        if settled:
+            break
+    return entering
 
 
 def locate(network: Network, road: Road, s: float, lane: int) -> tuple[int, float] | None:
