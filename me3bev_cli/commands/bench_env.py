@@ -89,8 +89,8 @@ def _print(report: dict[str, Any], json: str | None) -> None:
     place.print(
         f"floor: a step writes {floor['bytes_written']:,} bytes; filling them takes {floor['write_us']:.0f} us, "
         f"copying as many {floor['copy_us']:.0f} us:\n"
-        f"       the step's {floor['step_us']:.0f} us are {floor['times_write']:.0f} and {floor['times_copy']:.0f} times "
-        f"that; its tables hold {floor['table_bytes']:,} bytes,\n"
+        f"       the step's {floor['step_us']:.0f} us are {floor['times_write']:.0f} and "
+        f"{floor['times_copy']:.0f} times that; its tables hold {floor['table_bytes']:,} bytes,\n"
         f"       of which it reads a part: all of them take {floor['read_tables_us']:.0f} us"
     )
 
