@@ -32,7 +32,7 @@ class Facts:
     road_km: float
     connector_km: float
     intersections: dict[str, int]
-    """By kind: "3", "4", "5" arms (or more), "merge", "roundabout", "pass" (no choice of way)."""
+    """By kind: "3", "4", "5" arms (or more), "merge", "roundabout", "pass" (two arms, no choice of way)."""
     signalised: int
     lanes_per_direction: dict[int, float]
     posted_kmh: dict[int, float]
@@ -163,7 +163,7 @@ def _kind(ways: Carriageways, junction: Junction) -> str:
         for a in lanes[n].predecessors
         for b in lanes[n].successors
     }
-    if len(joined) == len({a for a, _ in joined}) == len({b for _, b in joined}):
+    if junction.arms < 3 and len(joined) == len({a for a, _ in joined}) == len({b for _, b in joined}):
         return "pass"
     if max(turns) < MERGE:
         return "merge"
