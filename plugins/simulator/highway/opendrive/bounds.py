@@ -28,6 +28,8 @@ HIGHEST = 9_000.0
 """Metres above or below zero."""
 BESIDE = 300.0
 """Metres from a road's reference line to its outermost lane."""
+WIDEST_LANE = 25.0
+"""Metres of a driving lane."""
 LONGEST_JUMP = 10.0
 """Metres that a reference line or a driving lane may jump where two curves do not meet."""
 
@@ -84,6 +86,9 @@ def check_shape(document: Document, shape: SectionShape) -> None:
             raise _fault(document, shape.road, f"lane {number} lies {np.abs(edge).max():g} m beside its road")
     for lane in shape.section.lanes.values():
         if lane.id != 0 and lane.type in DRIVING:
+            width = shape.width(lane.id).max()
+            if width > WIDEST_LANE:
+                raise _fault(document, shape.road, f"<width> makes lane {lane.id} {width:.0f} m wide or more")
             steps = np.abs(np.diff(shape.centre(lane.id), axis=0)).max(initial=0.0)
             if steps > LONGEST_JUMP:
                 raise _fault(document, shape.road, f"lane {lane.id} jumps by {steps:.1f} m")
