@@ -104,7 +104,7 @@ _ROWS = (
     ("reset, ms", "reset_ms", ".1f", "below"),
     ("reset, 95th percentile, ms", "reset_p95_ms", ".1f", ""),
     ("memory of a process with one environment, MB", "rss_mb", ".0f", "below"),
-    ("of that, libraries, MB", "libraries_rss_mb", ".0f", ""),
+    ("of that, numpy, gymnasium and numba, MB", "libraries_rss_mb", ".0f", ""),
     ("two environments in two workers / one in one", "two_workers_ratio", ".2f", "at least"),
 )
 """Label, key, format, and how the target is meant."""

@@ -6,11 +6,10 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from highway_env.road.lane import AbstractLane
-from highway_env.vehicle.kinematics import Vehicle
 
 from me3bev_plugins.simulator.highway.lane_grid import Place
 from me3bev_plugins.simulator.highway.scene import Ego
+from me3bev_plugins.simulator.highway.stock import AbstractLane, Vehicle
 
 if TYPE_CHECKING:
     from me3bev_plugins.simulator.highway.roads import TownRoad

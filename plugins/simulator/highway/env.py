@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from me3bev_cli.api import ObservationConfig, StepRecord
@@ -32,6 +31,7 @@ from me3bev_plugins.simulator.highway.routes import Route, RouteTracker
 from me3bev_plugins.simulator.highway.scene import Scene
 from me3bev_plugins.simulator.highway.simulator import HighwayConfig
 from me3bev_plugins.simulator.highway.situation import Situation, assess, step_record
+from me3bev_plugins.simulator.highway.stock import AbstractEnv
 from me3bev_plugins.simulator.highway.town import Town
 from me3bev_plugins.simulator.highway.traffic import Traffic
 

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
-from highway_env.envs.common.action import ActionType
-from highway_env.envs.common.observation import ObservationType
 
 from me3bev_cli.errors import UserError
 from me3bev_plugins.simulator.highway.ego import STEERING, EgoVehicle, acceleration_of
@@ -20,6 +18,7 @@ from me3bev_plugins.simulator.highway.features import (
     vehicle_features,
     vehicle_space,
 )
+from me3bev_plugins.simulator.highway.stock import ActionType, ObservationType
 
 if TYPE_CHECKING:
     from me3bev_plugins.simulator.highway.env import TownEnv

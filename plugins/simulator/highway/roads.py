@@ -7,14 +7,13 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
-from highway_env.road.lane import AbstractLane, LineType
-from highway_env.road.road import LaneIndex, Road, RoadNetwork
 
 from me3bev_plugins.simulator.highway.ego import EgoVehicle
 from me3bev_plugins.simulator.highway.ego_path import EgoPath
 from me3bev_plugins.simulator.highway.lane_grid import LaneGrid, Place
 from me3bev_plugins.simulator.highway.routes import RouteTracker
 from me3bev_plugins.simulator.highway.scene import Ego
+from me3bev_plugins.simulator.highway.stock import AbstractLane, LaneIndex, LineType, Road, RoadNetwork
 from me3bev_plugins.simulator.highway.town import Floats, Lane, Marking, Town
 
 _LINES: dict[Marking, int] = {
