@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -143,4 +144,4 @@ def random_route(town: Town, rng: np.random.Generator) -> Route:
         lanes.append(open_ends[int(rng.integers(len(open_ends)))])
         rest -= town.lanes[lanes[-1]].length
     route = make_route(town, lanes, start, 0.0)
-    return make_route(town, lanes, start, nominal_length(town, route))
+    return replace(route, length=nominal_length(town, route))

@@ -53,6 +53,30 @@ def test_acceleration_and_yaw_rate_are_those_of_the_step(ego: EgoVehicle) -> Non
     assert ego.yaw_rate == pytest.approx(5.0 * math.sin(slip) / (4.7 / 2))
 
 
+def test_kinematics_are_highway_envs_to_the_last_bit(town: Town, ego: EgoVehicle) -> None:
+    class Stock(Vehicle):  # type: ignore[misc]
+        LENGTH = EgoVehicle.LENGTH
+
+    rng = np.random.default_rng(1)
+    other = Stock(None, [10.0, 0.0], 0.0, 0.0)
+    for _ in range(400):
+        steering, acceleration = rng.uniform(-0.7, 0.7), rng.uniform(-3.0, 4.0)
+        for vehicle in (ego, other):
+            vehicle.act({"steering": steering, "acceleration": max(acceleration, -vehicle.speed / 0.1)})
+            vehicle.step(0.1)
+        assert (ego.x, ego.y, ego.heading) == (*other.position, other.heading)
+        # Braking to a stop may leave highway-env a rounding error on the other side of 0.
+        assert ego.speed == max(0.0, other.speed)
+        other.speed = ego.speed
+
+
+def test_an_ego_off_every_lane_has_the_nearest_one(town: Town) -> None:
+    road = TownRoad(road_network(town), np.random.default_rng(0))
+    lost = EgoVehicle(road, (-300.0, 0.0, 0.0), 0.0)
+    assert lost.place.lane == -1
+    assert lost.lane is road.network.get_lane(road.network.index_of[0])
+
+
 def test_positive_steering_turns_left(ego: EgoVehicle) -> None:
     ego.speed = 5.0
     for _ in range(5):
