@@ -13,7 +13,7 @@ from me3bev_plugins.simulator.highway.town import Town
 from me3bev_plugins.simulator.highway.traffic_kernel import advise_ego, decide, look_around, publish, step_traffic
 from me3bev_plugins.simulator.highway.traffic_records import LARGE, PATH, SMALL
 from me3bev_plugins.simulator.highway.traffic_spawn import draw_models, put_vehicles, size_bit, stretches
-from me3bev_plugins.simulator.highway.traffic_state import extend, new_board, new_fleet, place
+from me3bev_plugins.simulator.highway.traffic_state import extend, new_board, new_fleet, set_out
 from me3bev_plugins.simulator.highway.traffic_tables import tables
 
 STRONGEST = 3.5
@@ -23,8 +23,10 @@ STRONGEST = 3.5
 class Traffic:
     """All that moves in a town besides the ego.
 
-    Vehicles follow highway-env's IDM along random ways over the lanes, obey limits, lights and signs, and take
-    turns at junctions. The ego is one more vehicle to them: it is given room wherever its box is, and its right of way.
+    Vehicles drive by highway-env's IDM to destinations, one after another, change lanes by its MOBIL to get there and
+    Vehicles drive by highway-env's IDM to destinations, one after another, change lanes by its MOBIL to get there and
+    to pass slower ones, obey limits, lights and signs, and take turns at junctions. The ego is one more vehicle to
+    them: it is given room wherever its box is, and its right of way.
     Everything is drawn from the generator given to `reset`: the same one makes the same episode, byte by byte.
     """
 
@@ -62,12 +64,10 @@ class Traffic:
         cars["size"] = cars["length"] > 2 * LARGE
         cars["admits"] = [size_bit(float(length)) for length in cars["length"]]
         cars["gate"] = cars["halted"] = cars["leaving"] = -1
-        cars["timer"] = rng.uniform(0.0, 4.0, vehicles)[index]
+        cars["timer"] = rng.uniform(0.0, float(roads.mobil[3]), vehicles)[index]
         cars["count"] = 1
         self._fleet.path[:count, 0] = lane
-        for i in range(count):
-            extend(roads, cars[i], self._fleet.path[i])
-            place(roads, cars[i], self._fleet.path[i], self._fleet.trail[i])
+        set_out(roads, self._fleet)
         walks = self._tables.walks
         self._people, looks = draw_people(rng, walks, pedestrians)
         self._board = new_board(len(roads.lanes), count, len(self.town.signals), len(roads.links), len(walks.crossings))
@@ -102,7 +102,7 @@ class Traffic:
         car = self._fleet.cars[-1]
         car["length"], car["width"], car["height"], car["kind"] = ego.length, ego.width, ego.height, Kind.CAR
         car["rng"], car["eager"], car["admits"], car["size"] = seed, 1.0, SMALL, int(ego.length > 2 * LARGE)
-        car["gate"] = car["halted"] = car["leaving"] = -1
+        car["gate"] = car["halted"] = car["leaving"] = car["goal"] = -1
         self._ego_way: tuple[int, ...] = ()
 
     def _locate_ego(self, ego: Ego, path: EgoPath) -> None:

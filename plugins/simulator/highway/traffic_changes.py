@@ -1,4 +1,4 @@
-"""Changing lanes: now and then, where the other lane is freer and both gaps suffice."""
+"""Changing lanes: highway-env's MOBIL, to get to the lane that the way asks for and to pass slower vehicles."""
 
 from __future__ import annotations
 
@@ -6,21 +6,26 @@ import numpy as np
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.traffic_board import put_entry
-from me3bev_plugins.simulator.highway.traffic_drive import follow, free_road
+from me3bev_plugins.simulator.highway.traffic_drive import FIRM, follow, free_road
 from me3bev_plugins.simulator.highway.traffic_records import TRAIL, Record
-from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, draw, extend, sample_at, speed_at
+from me3bev_plugins.simulator.highway.traffic_routes import CHANGE
+from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, draw, extend, sample_at, speed_at, time_left
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
 DURATION, LENGTHS = 3.0, 3.5
 """A change takes as many metres as are driven in these seconds, and no fewer than so many lengths of the vehicle."""
-SAFE = 2.0
-"""Deceleration that a change may impose on anybody (highway-env's LANE_CHANGE_MAX_BRAKING_IMPOSED), m/s^2."""
-GAIN = 0.2
-"""Acceleration that a change must bring (highway-env's LANE_CHANGE_MIN_ACC_GAIN), m/s^2."""
-WHIM = 0.1
-"""Share of the occasions on which a change that brings nothing, but costs nothing, is made."""
-BACK = 25.0
-"""No change within this distance of the start of a lane: who comes from behind it would be unseen, metres."""
+SLOWEST = 2.0
+"""Nobody changes lanes more slowly, m/s."""
+NEAR_END = 200.0
+"""Within this distance of the end of its lane a vehicle keeps to, or changes to, the lane that its way asks for; before
+it lanes only differ by who is on them, metres."""
+ROOM = 2.0
+"""Least distance to the bumpers of those before and behind, and to the stop line at the end, metres."""
+UNSEEN = 60.0
+"""How far behind the start of a lane those who come to it are looked for, metres."""
+PASSING = 1.5
+"""Who is farther than this from a lane's centre with its whole body is no longer in the way there, metres."""
+FREE, WANTED, BARRED = 0, 1, 2
 
 
 @kernel
@@ -31,33 +36,34 @@ def change_lanes(roads: Roads, fleet: Fleet, board: Board, dt: float) -> None:
         car.timer -= dt
         if car.timer > 0.0:
             continue
-        car.timer = 2.0 + 4.0 * draw(car)
-        to_left = draw(car) < 0.5
-        whim = draw(car) < WHIM
-        if car.change > 0.0 or car.clear > 0 or car.speed < 3.0:
-            continue
+        car.timer += roads.mobil[3]
+        car.ease = 0
         lane = roads.lanes[fleet.path[i, 0]]
+        if (lane.left < 0 and lane.right < 0) or car.change > 0.0 or car.clear > 0 or car.speed < SLOWEST:
+            continue
+        to_left = draw(car) < 0.5
         for attempt in range(2):
             target = lane.left if to_left == (attempt == 0) else lane.right
-            if target >= 0 and _try(roads, fleet, board, i, target, whim):
+            if target >= 0 and _try(roads, fleet, board, i, target):
                 break
 
 
 @kernel
-def _try(roads: Roads, fleet: Fleet, board: Board, i: int, target: int, whim: bool) -> bool:
+def _try(roads: Roads, fleet: Fleet, board: Board, i: int, target: int) -> bool:
     car, path = fleet.cars[i], fleet.path[i]
     lane, goal = roads.lanes[path[0]], roads.lanes[target]
     span = max(DURATION * car.speed, LENGTHS * car.length)
-    if not (goal.admits & car.admits) or goal.junction >= 0 or car.s + span + 10.0 > lane.length:
+    half = 0.5 * car.length
+    if not (goal.admits & car.admits) or goal.junction >= 0 or car.s + span + half + ROOM > min(lane.stop, lane.length):
         return False
     s, lateral = project(roads, target, car.x, car.y, car.s * goal.length / lane.length)
-    if s < BACK or s + span + 10.0 > goal.length or abs(lateral) > 5.0:
+    if s < max(half, goal.clear) or s + span + half + ROOM > min(goal.stop, goal.length) or abs(lateral) > 5.0:
         return False
-    now = _ahead(roads, board, car, path[0], car.s, i)
-    then = _ahead(roads, board, car, target, s, i)
-    if then < -SAFE or not _followers_agree(roads, board, car, target, s, i):
+    advice = _by_route(roads, car, path[0], target, lane.length - car.s)
+    if advice == BARRED:
         return False
-    if then < now + GAIN and not (whim and then > now - GAIN):
+    if not _by_others(roads, fleet, board, i, target, s, advice == WANTED, lane.length - car.s):
+        car.ease = int(advice == WANTED)
         return False
     car.leaving, car.shift = path[0], car.s - s
     car.s, car.offset, car.offset0 = s, lateral, lateral
@@ -67,7 +73,150 @@ def _try(roads: Roads, fleet: Fleet, board: Board, i: int, target: int, whim: bo
     for k in range(TRAIL):
         fleet.trail[i, k] = -1
     extend(roads, car, path)
-    put_entry(board, target, i, s, 0.5 * car.length, car.speed)  # The next one to think of this lane sees it.
+    put_entry(board, target, i, s, half, car.speed)  # The next one to think of this lane sees it.
+    return True
+
+
+@kernel
+def _by_route(roads: Roads, car: Record, lane: int, target: int, metres: float) -> int:
+    """Whether a vehicle's way asks for a change (WANTED), forbids it (BARRED) or does not care (FREE)."""
+    if car.goal < 0:
+        return FREE
+    here, there = time_left(roads, car, lane), time_left(roads, car, target)
+    if metres > NEAR_END:
+        return FREE if there < np.inf else BARRED
+    if here - there > 0.99 * CHANGE:
+        return WANTED
+    return FREE if there - here < 0.5 * CHANGE else BARRED
+
+
+@kernel
+def _by_others(
+    roads: Roads, fleet: Fleet, board: Board, i: int, lane: int, s: float, wanted: bool, metres: float
+) -> bool:
+    """MOBIL: nobody must brake hard for the change and, unless the way asks for it, it brings more than it costs.
+
+    As in highway-env, `IDMVehicle.mobil`; vehicles that are still to come to the lane count as followers too. A change
+    that the way asks for may cost more braking the nearer the end of the lane is, which lies `metres` ahead.
+    """
+    car = fleet.cars[i]
+    here = fleet.path[i, 0]
+    most = -roads.mobil[2]
+    if wanted:
+        most -= max(0.0, FIRM + most) * (1.0 - metres / NEAR_END)
+    leader, follower = _neighbours(board, lane, s, i)
+    then = _behind(roads, board, car, lane, s, leader)
+    if then < most or not _is_clear(board, car, s, leader) or not _is_clear(board, car, s, follower):
+        return False
+    cost = 0.0
+    if follower >= 0:
+        entry = board.entries[follower]
+        pressed = _pressed(roads, car, s, fleet.cars[entry.vehicle], lane, entry.s, entry.half, entry.speed)
+        if pressed < most:
+            return False
+        cost = _behind(roads, board, fleet.cars[entry.vehicle], lane, entry.s, leader) - pressed
+    elif not _comers_agree(roads, fleet, board, car, lane, s, i, most):
+        return False
+    if wanted:
+        return True
+    ahead, behind = _neighbours(board, here, car.s, i)
+    if behind >= 0:
+        entry = board.entries[behind]
+        other = fleet.cars[entry.vehicle]
+        cost += _pressed(roads, car, car.s, other, here, entry.s, entry.half, entry.speed)
+        cost -= _behind(roads, board, other, here, entry.s, ahead)
+    now = _behind(roads, board, car, here, car.s, ahead)
+    return then - now - roads.mobil[0] * cost >= roads.mobil[1]
+
+
+@kernel
+def _neighbours(board: Board, lane: int, s: float, i: int) -> tuple[int, int]:
+    """(entry before, entry behind) of arc length `s` on a lane, -1 for none."""
+    ahead, behind = np.inf, -np.inf
+    leader = follower = -1
+    k = board.heads[lane]
+    while k >= 0:
+        entry = board.entries[k]
+        if entry.vehicle != i:
+            if entry.s >= s and entry.s < ahead:
+                ahead, leader = entry.s, k
+            elif entry.s < s and entry.s > behind:
+                behind, follower = entry.s, k
+        k = entry.next
+    return leader, follower
+
+
+@kernel
+def _is_clear(board: Board, car: Record, s: float, k: int) -> bool:
+    """Whether an entry leaves room for the vehicle beside it."""
+    return k < 0 or abs(board.entries[k].s - s) > 0.5 * car.length + board.entries[k].half + ROOM
+
+
+@kernel
+def _behind(roads: Roads, board: Board, car: Record, lane: int, s: float, leader: int) -> float:
+    """IDM acceleration of a vehicle at arc length `s` of a lane behind an entry, or on a free road, m/s^2."""
+    free = free_road(roads.idm, car.speed, speed_at(roads, lane, s) * car.eager)
+    if leader < 0:
+        return free
+    entry = board.entries[leader]
+    return follow(roads.idm, free, car.speed, entry.speed, entry.s - s, 0.5 * car.length + entry.half)
+
+
+@kernel
+def _pressed(
+    roads: Roads, car: Record, s: float, other: Record, lane: int, at: float, half: float, speed: float
+) -> float:
+    """IDM acceleration of another one, at arc length `at` of a lane, behind the vehicle at `s`, m/s^2."""
+    speed = max(speed, 0.0)
+    free = free_road(roads.idm, speed, speed_at(roads, lane, max(at, 0.0)) * other.eager)
+    return follow(roads.idm, free, speed, car.speed, s - at, 0.5 * car.length + half)
+
+
+@kernel
+def _comers_agree(
+    roads: Roads, fleet: Fleet, board: Board, car: Record, lane: int, s: float, i: int, most: float
+) -> bool:
+    """Whether nobody who is still to come to a lane would have to brake hard for the vehicle at `s`."""
+    record = roads.lanes[lane]
+    for n in range(record.before0, record.before1):
+        before = roads.before[n]
+        if not _agree(roads, fleet, board, car, before, -roads.lanes[before].length, s, i, most):
+            return False
+        second = roads.lanes[before]
+        if s + second.length > UNSEEN:
+            continue
+        for m in range(second.before0, second.before1):
+            base = -second.length - roads.lanes[roads.before[m]].length
+            if not _agree(roads, fleet, board, car, roads.before[m], base, s, i, most):
+                return False
+    return True
+
+
+@kernel
+def _agree(
+    roads: Roads,
+    fleet: Fleet,
+    board: Board,
+    car: Record,
+    lane: int,
+    base: float,
+    s: float,
+    i: int,
+    most: float,
+) -> bool:
+    """Whether nobody on a lane that begins at `base` would have to brake hard for the vehicle at `s`."""
+    k = board.heads[lane]
+    while k >= 0:
+        entry = board.entries[k]
+        k = entry.next
+        if entry.vehicle == i or s - base - entry.s > UNSEEN:
+            continue
+        gap = s - base - entry.s - 0.5 * car.length - entry.half
+        if gap < ROOM:
+            return False
+        at = base + entry.s
+        if _pressed(roads, car, s, fleet.cars[entry.vehicle], lane, at, entry.half, entry.speed) < most:
+            return False
     return True
 
 
@@ -89,40 +238,6 @@ def project(roads: Roads, lane: int, x: float, y: float, guess: float) -> tuple[
 
 
 @kernel
-def _ahead(roads: Roads, board: Board, car: Record, lane: int, s: float, i: int) -> float:
-    """IDM acceleration behind the nearest vehicle ahead of `s` on a lane."""
-    free = free_road(roads.idm, car.speed, speed_at(roads, lane, s) * car.eager)
-    accel = free
-    k = board.heads[lane]
-    while k >= 0:
-        entry = board.entries[k]
-        k = entry.next
-        if entry.vehicle != i and entry.s >= s:
-            lengths = 0.5 * car.length + entry.half
-            if entry.s - s < lengths + 2.0:
-                return -np.inf
-            accel = min(accel, follow(roads.idm, free, car.speed, entry.speed, entry.s - s, lengths))
-    return accel
-
-
-@kernel
-def _followers_agree(roads: Roads, board: Board, car: Record, lane: int, s: float, i: int) -> bool:
-    """Whether nobody behind `s` on a lane would have to brake hard."""
-    k = board.heads[lane]
-    while k >= 0:
-        entry = board.entries[k]
-        k = entry.next
-        if entry.vehicle == i or entry.s >= s:
-            continue
-        lengths = 0.5 * car.length + entry.half
-        if s - entry.s < lengths + 2.0:
-            return False
-        if follow(roads.idm, 0.0, max(entry.speed, 0.0), car.speed, s - entry.s, lengths) < -SAFE:
-            return False
-    return True
-
-
-@kernel
 def drift(car: Record, metres: float) -> float:
     """Go on with a change of lane; returns the angle between the vehicle and its lane, radians."""
     if car.change <= 0.0:
@@ -133,6 +248,7 @@ def drift(car: Record, metres: float) -> float:
         return 0.0
     u = 1.0 - car.change / car.span
     car.offset = car.offset0 * (1.0 - u**3 * (10.0 - 15.0 * u + 6.0 * u * u))
-    if abs(car.offset) < 0.25 * abs(car.offset0):
+    angle = np.arctan(-car.offset0 * 30.0 * u * u * (1.0 - u) ** 2 / car.span)
+    if abs(car.offset) + 0.5 * (car.width + car.length * abs(np.sin(angle))) < abs(car.offset0) - PASSING:
         car.leaving = -1
-    return np.arctan(-car.offset0 * 30.0 * u * u * (1.0 - u) ** 2 / car.span)
+    return angle

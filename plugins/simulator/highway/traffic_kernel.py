@@ -22,6 +22,9 @@ from me3bev_plugins.simulator.highway.traffic_tables import Roads
 MEEK_AFTER = 3.0
 """Who has stood inside a junction, or granted before it, for so long lets others go first, seconds."""
 
+EASE, EASED = 1.0, 0.6
+"""Who looks for a gap in the lane beside it slows down so hard, m/s^2, but not below this share of the limit."""
+
 
 @kernel
 def look_around(roads: Roads, grid: Grid, plan: SignalPlan, fleet: Fleet, board: Board, time: float) -> None:
@@ -47,7 +50,10 @@ def decide(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float) -> 
         if car.meek:
             car.hold = hold_distance(roads, board, car, fleet.path[i], i)
     for i in range(ego):
-        fleet.cars[i].accel = drive(roads, board, fleet.cars[i], fleet.path[i], i)
+        car = fleet.cars[i]
+        car.accel = drive(roads, board, car, fleet.path[i], i)
+        if car.ease and car.speed > EASED * roads.lanes[fleet.path[i, 0]].limit:
+            car.accel = min(car.accel, -EASE)
 
 
 @kernel

@@ -56,6 +56,8 @@ LANE = np.dtype(
         ("turn", "i4"),  # 0 straight, 1 right, 2 left, 3 back
         ("follow0", "i4"),  # successors
         ("follow1", "i4"),
+        ("before0", "i4"),  # predecessors
+        ("before1", "i4"),
         ("cross0", "i4"),  # crossings of pedestrians
         ("cross1", "i4"),
     ],
@@ -121,6 +123,8 @@ VEHICLE = np.dtype(
         ("halted", "i4"),  # lane at whose stop sign it has stopped, or -1
         ("meek", "i4"),  # 1: it has stood in a junction for so long that others need not wait for it
         ("leaving", "i4"),  # lane being left, or -1
+        ("ease", "i4"),  # 1: it drops back to find a gap in the lane beside it
+        ("goal", "i4"),  # destination, or -1 to drive about at random
     ],
     align=True,
 )

@@ -107,11 +107,20 @@ def revoke(roads: Roads, fleet: Fleet, board: Board, time: float) -> None:
         if line <= 0.0 or roads.lanes[path[0]].gate:
             continue
         clears = i < len(fleet.cars) - 1 and roads.lanes[path[k]].rank > 0
-        if not _light_allows(roads, board, car, path[k - 1], line, clears):
+        if not (_light_allows(roads, board, car, path[k - 1], line, clears) or _is_committed(car, line)):
             car.clear = 0
         elif car.still > LAPSE:
             car.clear = 0
             car.arrival, car.wait, car.still = time, min(car.wait, PATIENCE - 2.0), 0.0  # Others first.
+
+
+@kernel
+def _is_committed(car: Record, line: float) -> bool:
+    """Whether a vehicle is too fast to stop at a line that lies `line` metres before it.
+
+    Who was slowed down on its way through at amber goes on at red: half braked it would end up in the junction.
+    """
+    return car.speed**2 > 2.0 * STOPPABLE * max(line - 0.5, 0.01)
 
 
 @kernel
@@ -127,7 +136,7 @@ def _light_allows(roads: Roads, board: Board, car: Record, lane: int, line: floa
     state = board.lights[before.signal]
     if state == _RED:
         return line < 0.0
-    if state != _AMBER or car.speed**2 > 2.0 * STOPPABLE * max(line - 0.5, 0.01):
+    if state != _AMBER or _is_committed(car, line):
         return True
     return clears and car.wait > 3.0 and line - (before.length - before.stop) < 3.0
 

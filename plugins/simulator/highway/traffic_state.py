@@ -9,10 +9,13 @@ import numpy as np
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
 from me3bev_plugins.simulator.highway.traffic_records import ENTRY, PATH, TRAIL, USER, VEHICLE, Record, Records
+from me3bev_plugins.simulator.highway.traffic_routes import time_into
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
 HORIZON = 150.0
 """How far ahead a vehicle plans its way, metres."""
+NOT_NEAR = 30.0
+"""Destinations are farther away than this when they are chosen, seconds."""
 
 
 class Fleet(NamedTuple):
@@ -98,11 +101,21 @@ def draw(record: Record) -> float:
 
 @kernel
 def choose_next(roads: Roads, car: Record, lane: int, barred: int) -> int:
-    """A random successor of `lane` that admits the vehicle, another one than `barred` if there is one; -1 for none.
+    """The successor of `lane` that admits the vehicle and is nearest to its destination; -1 for none.
 
-    Turning back is for where there is nothing else.
+    It is another one than `barred` if there is one. Without a destination, or where none leads there, the draw
+    decides; turning back is then for where there is nothing else.
     """
     record = roads.lanes[lane]
+    best, found = np.inf, -1
+    if car.goal >= 0:
+        for k in range(record.follow0, record.follow1):
+            following = roads.follow[k]
+            left = time_left(roads, car, following) + time_into(roads.lanes[following])
+            if following != barred and left < best:
+                best, found = left, following
+    if found >= 0:
+        return found
     for attempt in range(4):
         count = 0
         for k in range(record.follow0, record.follow1):
@@ -116,6 +129,26 @@ def choose_next(roads: Roads, car: Record, lane: int, barred: int) -> int:
                     return roads.follow[k]
                 pick -= 1
     return -1
+
+
+@kernel
+def time_left(roads: Roads, car: Record, lane: int) -> float:
+    """Seconds from the start of a lane to the vehicle's destination; infinite where it may not go."""
+    return float(roads.times[car.admits >> 1, car.goal, lane])
+
+
+@kernel
+def choose_goal(roads: Roads, car: Record, lane: int) -> None:
+    """Give the vehicle a destination that it can reach from a lane and that is not near, if there is one."""
+    count = roads.times.shape[1]
+    size = car.admits >> 1
+    for attempt in range(12):
+        goal = int(draw(car) * count)
+        left = roads.times[size, goal, lane]
+        if left < np.inf and (left > NOT_NEAR or attempt > 5):
+            car.goal = goal
+            return
+    car.goal = -1
 
 
 @kernel
@@ -135,12 +168,25 @@ def extend(roads: Roads, car: Record, path: Ints) -> None:
     for k in range(car.count):
         length += roads.lanes[path[k]].length
     while car.count < PATH and length < HORIZON:
-        following = choose_next(roads, car, path[car.count - 1], -1)
+        last = path[car.count - 1]
+        if car.goal >= 0 and time_left(roads, car, last) == 0.0:
+            choose_goal(roads, car, last)
+        following = choose_next(roads, car, last, -1)
         if following < 0:
             return
         path[car.count] = following
         car.count += 1
         length += roads.lanes[following].length
+
+
+@kernel
+def set_out(roads: Roads, fleet: Fleet) -> None:
+    """Give every vehicle but the ego a destination, the first lanes of its way there, and its pose."""
+    for i in range(len(fleet.cars) - 1):
+        car, path = fleet.cars[i], fleet.path[i]
+        choose_goal(roads, car, path[0])
+        extend(roads, car, path)
+        place(roads, car, path, fleet.trail[i])
 
 
 @kernel

@@ -13,6 +13,7 @@ from me3bev_plugins.simulator.highway.stock import IDMVehicle
 from me3bev_plugins.simulator.highway.town import Floats, Ints, Town
 from me3bev_plugins.simulator.highway.traffic_conflicts import find_zones
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid
+from me3bev_plugins.simulator.highway.traffic_parameters import idm_parameters, mobil_parameters
 from me3bev_plugins.simulator.highway.traffic_records import (
     CROSS,
     GO,
@@ -28,6 +29,7 @@ from me3bev_plugins.simulator.highway.traffic_records import (
     YIELD,
     Records,
 )
+from me3bev_plugins.simulator.highway.traffic_routes import plan_routes
 
 LATERAL = 2.5
 """Acceleration towards the inside that a driver accepts in a bend, m/s^2."""
@@ -50,6 +52,8 @@ class Roads(NamedTuple):
     """(P,) `SAMPLE`"""
     follow: Ints
     """Successors of all lanes, in one row."""
+    before: Ints
+    """Predecessors, likewise."""
     zones: Records
     """(Z,) `ZONE`"""
     zone_start: Ints
@@ -58,7 +62,12 @@ class Roads(NamedTuple):
     links: Records
     """(K,) `LINK`"""
     idm: Floats
-    """(5,) desired acceleration, comfortable deceleration (positive), time gap, jam gap between bumpers, exponent."""
+    """(6,) desired acceleration, comfortable deceleration (positive), time gap, jam gap between bumpers, exponent,
+    greatest acceleration."""
+    mobil: Floats
+    """(4,) politeness, least gain of acceleration, greatest braking imposed on others, seconds between two thoughts."""
+    times: NDArray[np.float32]
+    """(3, D, L) seconds to every destination, as `plan_routes` gives them."""
 
 
 class Tables(NamedTuple):
@@ -69,26 +78,12 @@ class Tables(NamedTuple):
     walks: Walks
 
 
-def idm_parameters() -> Floats:
-    """highway-env's IDM parameters; its jam distance is between the centres of vehicles of its own length."""
-    return np.array(
-        [
-            IDMVehicle.COMFORT_ACC_MAX,
-            -IDMVehicle.COMFORT_ACC_MIN,
-            IDMVehicle.TIME_WANTED,
-            IDMVehicle.DISTANCE_WANTED - IDMVehicle.LENGTH,
-            IDMVehicle.DELTA,
-            IDMVehicle.ACC_MAX,
-        ],
-        np.float64,
-    )
-
-
 @lru_cache(maxsize=16)
 def tables(town: Town) -> Tables:
     """The tables of a town."""
     lanes, samples = _sample(town)
     follow = town.arrays.successor
+    before = np.array([n for lane in town.lanes for n in lane.predecessors], np.int32)
     _control(town, lanes)
     grid = build_grid(samples)
     zones, zone_start = find_zones(town, lanes, samples)
@@ -96,7 +91,9 @@ def tables(town: Town) -> Tables:
     _gates(town, lanes, zones, zone_start)
     _admit(town, lanes, samples, zones, zone_start)
     _stop_lines(lanes, zones, zone_start, links, walks.crossings, follow)
-    return Tables(Roads(lanes, samples, follow, zones, zone_start, links, idm_parameters()), grid, walks)
+    times = plan_routes(town, lanes)
+    model = (idm_parameters(), mobil_parameters())
+    return Tables(Roads(lanes, samples, follow, before, zones, zone_start, links, *model, times), grid, walks)
 
 
 def _sample(town: Town) -> tuple[NDArray, NDArray]:
@@ -126,6 +123,8 @@ def _sample(town: Town) -> tuple[NDArray, NDArray]:
     for name in ("left", "right", "junction"):
         lanes[name] = getattr(arrays, name)
     lanes["follow0"], lanes["follow1"] = arrays.successor_start[:-1], arrays.successor_start[1:]
+    arrivals = np.concatenate([[0], np.cumsum([len(lane.predecessors) for lane in town.lanes])])
+    lanes["before0"], lanes["before1"] = arrivals[:-1], arrivals[1:]
     lanes["turn"] = [_TURNS[lane.turn] for lane in town.lanes]
     return lanes, np.concatenate(pieces)
 

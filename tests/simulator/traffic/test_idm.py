@@ -9,7 +9,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from simulator.traffic.stage import FAR_AWAY, ego_on, staged, straight_town
 
-from me3bev_plugins.simulator.highway.traffic_tables import idm_parameters
+from me3bev_plugins.simulator.highway.traffic_parameters import idm_parameters
 
 LIMIT = 30.0
 
