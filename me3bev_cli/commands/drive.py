@@ -64,15 +64,22 @@ def drive(
     for name, value, least in (("--episodes", episodes, 1), ("--steps", steps, 1), ("--seed", seed, 0)):
         if value is not None and value < least:
             raise UserError(f"{value} is too few" if least else f"{value} is negative", where=name)
-    from me3bev_cli.driving.session import SIZE, prepare
-    from me3bev_cli.driving.video import video_file
-    from me3bev_cli.stopping import Stop
+    from me3bev_cli.driving.session import prepare
 
     plan = prepare(
         driver=driver, run=run, checkpoint=checkpoint, recipe=recipe, device=device, simulator=simulator,
         map=map, density=density, weather=weather, camera_size=camera_size, seed=seed, episodes=episodes,
         steps=steps, stop=stop, video=video,
     )  # fmt: skip
+    _run(plan)
+
+
+def _run(plan: Plan) -> None:
+    """Drive and write; Ctrl-C says what is kept."""
+    from me3bev_cli.driving.session import SIZE
+    from me3bev_cli.driving.video import video_file
+    from me3bev_cli.stopping import Stop
+
     request = Stop()
     kept = "nothing is written"
     with request.listening():
