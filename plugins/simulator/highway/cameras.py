@@ -6,6 +6,8 @@ roads cross above one another, the ego's own level is drawn, and of the other on
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,14 +18,14 @@ from me3bev_plugins.simulator.highway.ground import ground_of
 from me3bev_plugins.simulator.highway.raster import draw
 from me3bev_plugins.simulator.highway.raster_backdrop import backdrop
 from me3bev_plugins.simulator.highway.raster_buffers import SHAPE, Lenses, make_canvas
-from me3bev_plugins.simulator.highway.raster_colour import paint
 from me3bev_plugins.simulator.highway.raster_dress import light_of
-from me3bev_plugins.simulator.highway.raster_shadow import cast, make_shadows, shade
+from me3bev_plugins.simulator.highway.raster_lamps import LAMP_NUMBERS
+from me3bev_plugins.simulator.highway.raster_picture import Air, pictures
+from me3bev_plugins.simulator.highway.raster_shadow import make_shadows
 from me3bev_plugins.simulator.highway.raster_truth import read_truth
 from me3bev_plugins.simulator.highway.scene import Scene
 from me3bev_plugins.simulator.highway.town import Town
 
-_NO_WARMTH = np.zeros(0, np.int32)
 SIGHT = 220.0
 """Nothing farther than this is drawn, metres."""
 
@@ -44,26 +46,17 @@ class Cameras:
         self._faces_of = np.diff(self._meshes.face_start)
         self._lenses = _lenses(rig)
         self._canvas = make_canvas(rig.image_size, 1024)
-        self._shadows = make_shadows(256)
+        self._shadows, self._lamps = make_shadows(256), np.zeros((1024, LAMP_NUMBERS))
 
     def render(self, scene: Scene, out: NDArray[np.uint8]) -> None:
         """Writes the pictures, r g b, into `out` (C, 3, H, W)."""
-        weather = scene.weather
         pose, count, level, light = self._frame(scene)
-        things, lenses, canvas = self._near.things, self._lenses, self._canvas
-        drop = backdrop(self.rig, weather, self._tiles.cell)
-        shadows = 0
-        if weather.shadow < 1.0:
-            if count > len(self._shadows.corners):
-                self._shadows = make_shadows(2 * count)
-            shadows = cast(things, count, light[:3], weather.cast, self._shadows)
-        bearing = float(np.arctan2(light[1], light[0]))
-        low_sun = weather.cast and weather.sun[2] < 0.5
-        for i in range(len(self.rig.cameras)):
-            draw(i, lenses, self._meshes, things, count, light, canvas)
-            shade(i, lenses, self._shadows, shadows, canvas)
-            warmth = _warmth(drop.azimuth[i], bearing) if low_sun else _NO_WARMTH
-            paint(i, lenses, drop, self._tiles, level, pose, light, drop.lamp[i], warmth, canvas, out[i])
+        things = self._near.things
+        if count > len(self._shadows.corners):
+            self._shadows, self._lamps = make_shadows(2 * count), np.zeros((4 * count, LAMP_NUMBERS))
+        drop = backdrop(self.rig, scene.weather, self._tiles.cell)
+        fixed = (self._tiles, level, pose, light, _air(scene, self.rig.image_size), drop)
+        pictures(self._lenses, self._meshes, things, count, *fixed, self._shadows, self._lamps, self._canvas, out)
 
     def truth(self, scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Depth along the optical axis (C, H, W), metres, inf in the sky; classes (C, H, W) as `BEV_CLASSES`."""
@@ -92,10 +85,22 @@ class Cameras:
         return pose, count, level, light_of(scene.weather, float(pose[2]), float(pose[3]))
 
 
-def _warmth(azimuth: NDArray[np.float64], bearing: float) -> NDArray[np.int32]:
-    """How much of a low sun's glow each column of the sky has, of 256."""
-    near = 0.5 + 0.5 * np.cos(azimuth - bearing)
-    return np.asarray((250 * near**3).astype(np.int32))
+def _air(scene: Scene, size: tuple[int, int]) -> Air:
+    """The weather's part in the pictures. Rain depends on where everything is, so that equal scenes look equal."""
+    weather, ego = scene.weather, scene.ego
+    seed = 0
+    if weather.streaks:
+        where = (ego.x, ego.y, ego.heading, float(scene.actors.x.sum()), float(scene.actors.y.sum()))
+        seed = zlib.crc32(np.array(where, np.float64).tobytes())
+    return Air(
+        shadows=weather.shadow < 1.0,
+        slanted=weather.cast,
+        low_sun=weather.cast and weather.sun[2] < 0.5,
+        glare=weather.glare,
+        wetness=weather.wetness,
+        streaks=weather.streaks * size[0] * size[1] // (128 * 352),
+        seed=seed,
+    )
 
 
 def _lenses(rig: Rig) -> Lenses:

@@ -47,8 +47,9 @@ def car(low: Span, high: Span, belt: float, lamps: Span, wheel: float, rear_pill
             0.5 * FINE,
         )
     b.lamps(0.503, lamps)
-    b.front(0.504, (-0.24, 0.24), (0.24, lamps[1]), Role.DARK, FINE)
-    b.front(0.506, (-0.13, 0.13), (0.2, 0.27), Role.PLATE, 0.6 * FINE)
+    b.front(0.504, (-0.25, 0.25), (0.3, lamps[1] - 0.02), Role.DARK, FINE)
+    b.front(0.504, (-0.4, 0.4), (0.15, 0.21), Role.DARK, FINE)
+    b.front(0.506, (-0.13, 0.13), (0.22, 0.29), Role.PLATE, 0.6 * FINE)
     b.rear(-0.503, (-0.13, 0.13), (0.3, 0.38), Role.PLATE, FINE)
     b.rear(-0.504, (-0.4, 0.4), (0.15, 0.22), Role.DARK, FINE)
     return b

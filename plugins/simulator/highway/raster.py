@@ -204,11 +204,13 @@ def _draw_thing(
         gx = -(R[0, 0] * ex + R[0, 1] * ey + R[0, 2] * ez) / (offset * pin[0])
         gy = -(R[1, 0] * ex + R[1, 1] * ey + R[1, 2] * ez) / (offset * pin[1])
         gz = -(R[2, 0] * ex + R[2, 1] * ey + R[2, 2] * ez) / offset
-        if not _fill(canvas, spans, top, bottom, gx, gy, gz - gx * pin[2] - gy * pin[3], kept):
+        start = gz - gx * pin[2] - gy * pin[3]
+        if not _fill(canvas, spans, top, bottom, gx, gy, start, kept):
             continue
         canvas.owner[kept] = i
         norm = 1.0 / np.sqrt(ex * ex + ey * ey + ez * ez)
-        dress(kept, f, n, things.label[i], ex * norm, ey * norm, ez * norm, local, gx, R, meshes, light, canvas)
+        normal = (ex * norm, ey * norm, ez * norm)
+        dress(kept, f, n, things.label[i], *normal, local, gx, gy, start, corners, R, meshes, light, canvas)
         kept += 1
     return kept
 

@@ -121,7 +121,7 @@ def code_colours(wet: float = 0.0, sheen: float = 0.0, shine: Floats | None = No
         porous = np.isin(np.arange(BASES), [int(paint) for paint in _POROUS])
         dark = np.where(porous, 1 - 0.2 * wet, 1 - 0.42 * wet)[:, None, None]
         part = np.where(porous, 0.15 * sheen, sheen)[:, None, None]
-        ripple = 1 + 0.8 * steps
+        ripple = 1 + 0.35 * steps
         reflected = np.zeros(3) if shine is None else shine
         grained = grained * dark * (1 - part) + reflected * part * ripple
     mixed = grained[first] * (1 - share[..., None]) + grained[second] * share[..., None]

@@ -21,9 +21,11 @@ LABELS = 4
 
 BARE, SHADED = -1, -2
 """In `Canvas.face`: no face there, but sky or ground; ground in the shade."""
-WALL_NUMBERS = 16
+WALL_NUMBERS = 20
 """Of a wall: 0-2 direction along it in the camera frame, 3 offset, 4-5 window bays and storeys per metre, 6 height,
-7 how 1/z changes per column, 8 style, 9 a number of its own, 10-12 colour in its light, 13-15 light on it."""
+7 how 1/z changes per column, 8 style, 9 its own number, 10-12 colour in its light, 13 the light, 15 the own beam's,
+16-17 1/z at the first column and row and how it changes per row, 18-19 its columns."""
+_STRIPS = 128
 _CORNER_ROOM = 16
 _VERTEX_ROOM = 512
 
@@ -70,8 +72,24 @@ class Canvas(NamedTuple):
     spans: Floats
     row: Floats
     """(8,) of the row that is being painted."""
-    beam: Singles
-    """(W,) light on a row of a wall."""
+    gain: NDArray[np.int32]
+    """(W,) how much brighter lamps make a run, of 256."""
+    lamp: NDArray[np.uint8]
+    """(H, W) light of lamps on the ground, of 255."""
+    warmth: NDArray[np.int32]
+    """(W,) how much of a low sun's glow each column of the sky has, of 256."""
+    packed: NDArray[np.int32]
+    """(W + 16,) colours of a row of a wall, r + 256 g + 65536 b."""
+    slot: Ints
+    """(F,) where a wall's strip may be."""
+    strips: Ints
+    """(1,) how many strips are in use."""
+    strip_face: Ints
+    """(STRIPS,) whose they are."""
+    strip: NDArray[np.int32]
+    """(STRIPS, 6, W + 16) as `raster_walls` says."""
+    strip_depth: Singles
+    """(STRIPS, W + 16) metres."""
 
 
 def make_canvas(size: tuple[int, int], faces: int) -> Canvas:
@@ -87,7 +105,15 @@ def make_canvas(size: tuple[int, int], faces: int) -> Canvas:
         polygon=np.zeros((_CORNER_ROOM, 2)),
         spans=np.zeros((size[0], 2)),
         row=np.zeros(8),
-        beam=np.ones(size[1], np.float32),
+        gain=np.zeros(size[1], np.int32),
+        lamp=np.zeros(size, np.uint8),
+        warmth=np.zeros(size[1], np.int32),
+        packed=np.zeros(size[1] + 16, np.int32),
+        slot=np.zeros(faces, np.int64),
+        strips=np.zeros(1, np.int64),
+        strip_face=np.zeros(_STRIPS, np.int64),
+        strip=np.zeros((_STRIPS, 6, size[1] + 16), np.int32),
+        strip_depth=np.zeros((_STRIPS, size[1] + 16), np.float32),
     )
 
 

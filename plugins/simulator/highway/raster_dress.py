@@ -78,6 +78,9 @@ def dress(
     ez: float,
     local: Floats,
     slope: float,
+    fall: float,
+    start: float,
+    corners: int,
     R: Floats,
     meshes: Meshes,
     light: Floats,
@@ -128,7 +131,14 @@ def dress(
         lg = light[AMBIENT + 1] * sky + light[DIRECT + 1] * facing
         lb = light[AMBIENT + 2] * sky + light[DIRECT + 2] * facing
         if style == WALL:
-            _face_wall(canvas.wall[face], a, local[corner[1]], c, n, label, slope, beam, lr, lg, lb, r, g, b)
+            w = canvas.wall[face]
+            _face_wall(w, a, local[corner[1]], c, n, label, beam, lr, lg, lb, r, g, b)
+            w[7], w[16], w[17] = slope, start, fall
+            left, right = np.inf, -np.inf
+            for k in range(corners):
+                left, right = min(left, canvas.polygon[k, 0]), max(right, canvas.polygon[k, 0])
+            w[18] = max(0.0, np.floor(left - 0.5))
+            w[19] = min(float(canvas.inverse.shape[1]), np.ceil(right + 0.5))
         lr, lg, lb = lr + beam, lg + 0.96 * beam, lb + 0.84 * beam
     clear = 1.0 / (1.0 + z * light[THICKNESS] * (0.5 if style == GLOW else 1.0))
     clear *= clear
@@ -146,7 +156,6 @@ def _face_wall(
     top: Floats,
     n: Floats,
     label: Ints,
-    slope: float,
     beam: float,
     lr: float,
     lg: float,
@@ -162,6 +171,6 @@ def _face_wall(
     height = np.sqrt((top[0] - b[0]) ** 2 + (top[1] - b[1]) ** 2 + (top[2] - b[2]) ** 2)
     w[0], w[1], w[2], w[3] = ux, uy, uz, -(ux * a[0] + uy * a[1] + uz * a[2])
     w[4], w[5] = max(1.0, np.floor(length / BAY)) / length, max(1.0, np.floor(height / STOREY)) / height
-    w[6], w[7], w[8], w[9] = height, slope, label[STATE] & 3, n[RADIUS]
+    w[6], w[8], w[9] = height, label[STATE] & 3, n[RADIUS]
     w[10], w[11], w[12] = min(255.0, red * lr), min(255.0, green * lg), min(255.0, blue * lb)
     w[13], w[14], w[15] = lr, lg, beam

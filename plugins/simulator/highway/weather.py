@@ -41,8 +41,10 @@ class Weather:
     """Strength of the ego's own beam on what it hits."""
     lit_windows: float = 0.0
     """Share of windows with light behind them."""
+    glare: float = 0.0
+    """Strength of the glare around lamps."""
     streaks: int = 0
-    """Streaks of rain in a camera's picture."""
+    """Streaks of rain in a camera's picture of 128 x 352 pixels."""
 
 
 _KINDS = (
@@ -84,11 +86,12 @@ _KINDS = (
         lamps=True,
         headlights=0.12,
         lit_windows=0.25,
+        glare=0.5,
     ),
     Weather(
         "night",
         sun=(0.3, 0.2, 0.9327),
-        ambient=(0.13, 0.14, 0.19),
+        ambient=(0.17, 0.18, 0.24),
         direct=(0.03, 0.03, 0.05),
         zenith=(6.0, 9.0, 20.0),
         horizon=(30.0, 32.0, 46.0),
@@ -98,7 +101,8 @@ _KINDS = (
         cast=False,
         lamps=True,
         headlights=1.0,
-        lit_windows=0.4,
+        lit_windows=0.35,
+        glare=0.9,
     ),
     Weather(
         "rain",
@@ -115,7 +119,8 @@ _KINDS = (
         lamps=True,
         headlights=0.1,
         lit_windows=0.15,
-        streaks=70,
+        glare=0.45,
+        streaks=110,
     ),
     Weather(
         "fog",
@@ -131,6 +136,7 @@ _KINDS = (
         wetness=0.25,
         lamps=True,
         lit_windows=0.1,
+        glare=0.5,
     ),
 )
 _BY_NAME = {kind.name: kind for kind in _KINDS}
