@@ -86,7 +86,7 @@ def parse(data: bytes, where: str) -> ET.Element:
     try:
         root = ET.fromstring(data)
     except (ET.ParseError, ValueError, LookupError) as fault:
-        hint = "It may be truncated: copy it again"
+        hint = f"{GIVE}; a truncated one must be copied again"
         raise MapError(f"is not well-formed XML ({fault})", where=where, hint=hint) from fault
     for element in root.iter():  # Some exporters put everything in a namespace.
         if isinstance(element.tag, str) and element.tag.startswith("{"):
