@@ -151,7 +151,10 @@ def test_collections_are_not_mixed(line_plugins: None, tmp_path: Path) -> None:
     assert collect(Recorder(world, AUTOPILOT, 0, tmp_path, 90), takes, workers=0) == 1
     assert collect(Recorder(world, AUTOPILOT, 0, tmp_path, 90), takes, workers=0) == 0
     for recorder, message in (
-        (Recorder(replace(world, weather=("sun",)), AUTOPILOT, 0, tmp_path, 90), "its weather_set is 'moon', not 'sun'"),
+        (
+            Recorder(replace(world, weather=("sun",)), AUTOPILOT, 0, tmp_path, 90),
+            "its weather_set is 'moon', not 'sun'",
+        ),
         (Recorder(world, DriverSpec("idle", "idle"), 0, tmp_path, 90), "its driver is 'autopilot', not 'idle'"),
         (Recorder(world, AUTOPILOT, 1, tmp_path, 90), "its seed is"),
     ):
