@@ -34,6 +34,10 @@ COMING = 9.0
 """Vehicles that need not brake hard let pass who is this near to their lane and walks towards it, metres."""
 LEVEL = 2.5
 """Difference of height beyond which nothing meets, metres."""
+EASY, FRIGHT, FASTER, CLEAR = 2.0, 1.0, 1.5, 3.0
+"""Where there is no crosswalk nobody sets out before a vehicle that would have to brake harder than this, m/s^2, if it
+noticed so many seconds later and were so much faster by then, m/s, or that is nearer than the road's width and this,
+metres."""
 _RED = int(Light.RED)
 
 
@@ -190,12 +194,18 @@ def _wait(walks: Walks, person: Record, fleet: Fleet, board: Board, dt: float) -
 
 @kernel
 def _is_lonely(crossing: Record, fleet: Fleet) -> bool:
-    """Whether no vehicle, wherever it is bound, could come by while the road is crossed."""
+    """Whether every vehicle that comes nearer, wherever bound, could stop without haste after a moment of fright."""
     x, y = 0.5 * (crossing.x0 + crossing.x1), 0.5 * (crossing.y0 + crossing.y1)
     for i in range(len(fleet.cars)):
         car = fleet.cars[i]
-        reach = 0.5 * crossing.length + 8.0 + max(car.speed, 2.0) * (crossing.length / 1.2 + 1.0)
-        if abs(car.z - crossing.z0) < LEVEL and (car.x - x) ** 2 + (car.y - y) ** 2 < reach * reach:
+        speed = car.speed + FASTER
+        near = 0.5 * (crossing.length + car.length) + CLEAR
+        reach = near + speed * FRIGHT + speed * speed / (2.0 * EASY)
+        dx, dy = x - car.x, y - car.y
+        away = dx * dx + dy * dy
+        if abs(car.z - crossing.z0) > LEVEL or away > reach * reach:
+            continue
+        if away < near * near or dx * np.cos(car.heading) + dy * np.sin(car.heading) > 0.0:
             return False
     return True
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from highway_env.vehicle.behavior import IDMVehicle
 
+from me3bev_plugins.simulator.highway.stock import IDMVehicle
 from me3bev_plugins.simulator.highway.town import Floats
 
 

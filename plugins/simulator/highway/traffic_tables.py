@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.pedestrian_tables import Walks, build_walks
-from me3bev_plugins.simulator.highway.stock import IDMVehicle
 from me3bev_plugins.simulator.highway.town import Floats, Ints, Town
 from me3bev_plugins.simulator.highway.traffic_conflicts import find_zones
 from me3bev_plugins.simulator.highway.traffic_grid import Grid, build_grid

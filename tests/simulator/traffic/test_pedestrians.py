@@ -7,10 +7,12 @@ import pytest
 from simulator.tiny_town import build_tiny_town
 from simulator.traffic.stage import FAR_AWAY, box, corners, ego_box, ego_on, overlap, set_lights, staged
 
+from me3bev_plugins.simulator.highway.maps import load_town
 from me3bev_plugins.simulator.highway.pedestrian_kernel import CROSS, STROLL, WAIT
 from me3bev_plugins.simulator.highway.scene import Kind, Light
 from me3bev_plugins.simulator.highway.town import Town
 from me3bev_plugins.simulator.highway.traffic import Traffic
+from me3bev_plugins.simulator.highway.traffic_stress import stress
 from me3bev_plugins.simulator.highway.traffic_tables import tables
 
 TOWN = build_tiny_town()
@@ -171,3 +173,45 @@ def test_advice_stops_for_somebody_on_the_road() -> None:
         at, speed = at + 0.1 * speed, max(0.0, speed + 0.1 * accel)
     assert speed < 0.05
     assert 1.0 < s - (at + ego.length / 2) < 5.0
+
+
+def loose_crossing() -> int:
+    """A place to cross without a crosswalk, with 45 m of road before it."""
+    crossings = tables(TOWN).walks.crossings
+    return next(int(c) for c in np.flatnonzero(crossings["marked"] == 0) if first_link(int(c))[1] > 45.0)
+
+
+@pytest.mark.parametrize(("gap", "sets_out"), [(10.0, False), (20.0, False), (None, True)])
+def test_without_a_crosswalk_they_leave_a_car_at_the_limit_room_to_stop(gap: float | None, sets_out: bool) -> None:
+    crossing = loose_crossing()
+    lane, s, _ = first_link(crossing)
+    # 11 m/s take 30 m to stop at 2 m/s^2.
+    traffic = staged(TOWN, [] if gap is None else [(lane, s - gap, TOWN.lanes[lane].limit)])
+    with_person(traffic, crossing)
+    traffic.step(0.1, FAR_AWAY, AWAY)
+    assert (traffic._people[0]["mode"] == CROSS) == sets_out
+
+
+def test_a_car_stops_for_somebody_who_lingers_on_the_road_without_a_crosswalk() -> None:
+    crossing = loose_crossing()
+    lane, s, along = first_link(crossing)
+    traffic = staged(TOWN, [(lane, s - 40.0, 9.0)])
+    with_person(traffic, crossing, CROSS)
+    traffic._people[0]["along"], traffic._people[0]["pace"] = along, 0.0
+    for _ in range(120):
+        traffic.step(0.1, FAR_AWAY, AWAY)
+        assert not overlap(box(traffic.actors, 0), box(traffic.actors, 1))
+    assert traffic.actors.speed[0] < 0.1
+
+
+@pytest.mark.parametrize("name", ["T3", "T4", "T7"])
+def test_a_share_of_the_crossings_is_away_from_crosswalks_and_none_on_motorways(name: str) -> None:
+    town = load_town(name)
+    walks, roads = tables(town).walks, tables(town).roads
+    for lane in town.lanes:
+        met = roads.links["crossing"][roads.lanes["cross0"][lane.id] : roads.lanes["cross1"][lane.id]]
+        assert not lane.highway or (walks.crossings["marked"][met] == 1).all()
+    run = stress(town, 120.0, vehicles=50)
+    assert run.elsewhere > 3
+    assert run.crossings > 3
+    assert run.hit == run.overlaps == 0
