@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from me3bev_cli.api import BEV_CLASSES
 from me3bev_plugins.simulator.highway.camera_things import BUILDING, PEDESTRIAN, VEHICLE, Gathering
-from me3bev_plugins.simulator.highway.ground_tiles import MIX_PARTS, Paint, Tiles, lookup, lookup_mip
+from me3bev_plugins.simulator.highway.compiled import kernel
+from me3bev_plugins.simulator.highway.ground_tiles import MIX_PARTS, PAINTED, RECORD, Paint, Tiles, lookup, lookup_mip
 from me3bev_plugins.simulator.highway.ground_tiles import SEMANTIC as GROUND_SEMANTIC
 from me3bev_plugins.simulator.highway.raster import COS, LENGTH, SEMANTIC, SIN, WIDTH, Things, X, Y
 from me3bev_plugins.simulator.highway.scene import Scene
@@ -53,37 +53,52 @@ _LINES = _paint_shares((Paint.WHITE, Paint.YELLOW))
 _CROSSINGS = _paint_shares((Paint.ZEBRA, Paint.ZEBRA_GAP))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sample_ground(tiles: Tiles, town_level: int, pose: Floats, cell: float, out: Bytes) -> None:
     """Ground classes; paint is measured on nine samples that are together as wide as the cell."""
     cells = out.shape[0]
-    index = tiles.table[town_level]
+    index, data = tiles.table[town_level], tiles.data
     level = 0
     while level < 5 and tiles.cell * 2 ** (level + 1) <= 0.5 * cell:
         level += 1
-    x_step, y_step = pose[2] * cell / 3 / tiles.cell, pose[3] * cell / 3 / tiles.cell
+    scale = 1.0 / tiles.cell
+    x_step, y_step = pose[2] * cell / 3 * scale, pose[3] * cell / 3 * scale
     for row in range(cells):
+        x = (0.5 * cells - row - 0.5) * cell
         for column in range(cells):
-            x, y = (0.5 * cells - row - 0.5) * cell, (0.5 * cells - column - 0.5) * cell
-            east = (pose[0] + pose[2] * x - pose[3] * y - tiles.origin[0]) / tiles.cell
-            north = (pose[1] + pose[3] * x + pose[2] * y - tiles.origin[1]) / tiles.cell
+            y = (0.5 * cells - column - 0.5) * cell
+            east = (pose[0] + pose[2] * x - pose[3] * y - tiles.origin[0]) * scale
+            north = (pose[1] + pose[3] * x + pose[2] * y - tiles.origin[1]) * scale
             lines, crossings = 0, 0
-            for i in range(-1, 2):
-                for j in range(-1, 2):
-                    e, n = east + i * x_step - j * y_step, north + i * y_step + j * x_step
-                    code = lookup_mip(index, tiles.data, int(np.floor(n)), int(np.floor(e)), level)
-                    lines += _LINES[code]
-                    crossings += _CROSSINGS[code]
+            if _painted_around(index, data, north, east, abs(x_step) + abs(y_step)):
+                for i in range(-1, 2):
+                    for j in range(-1, 2):
+                        e, n = east + i * x_step - j * y_step, north + i * y_step + j * x_step
+                        code = np.uint64(lookup_mip(index, data, int(np.floor(n)), int(np.floor(e)), level))
+                        lines += _LINES[code]
+                        crossings += _CROSSINGS[code]
             if crossings >= _ENOUGH:
                 out[row, column] = _CROSSWALK
             elif lines >= _ENOUGH:
                 out[row, column] = _MARKING
             else:
-                at = lookup(index, tiles.data, int(np.floor(north)), int(np.floor(east)))
-                out[row, column] = GROUND_SEMANTIC[at]
+                at = lookup(index, data, int(np.floor(north)), int(np.floor(east)))
+                out[row, column] = GROUND_SEMANTIC[np.uint64(at)]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def _painted_around(index: NDArray[np.int32], data: Bytes, north: float, east: float, reach: float) -> bool:
+    """Whether any tile within `reach` cells of a place has lines or crossings in it."""
+    low, high = int(np.floor(north - reach)) >> 5, int(np.floor(north + reach)) >> 5
+    left, right = int(np.floor(east - reach)) >> 5, int(np.floor(east + reach)) >> 5
+    for ty in range(max(0, low), min(index.shape[0] - 1, high) + 1):
+        for tx in range(max(0, left), min(index.shape[1] - 1, right) + 1):
+            if data[np.int64(index[ty, tx]) * RECORD + PAINTED]:
+                return True
+    return False
+
+
+@kernel
 def _paint_boxes(things: Things, count: int, semantic: int, always: bool, cell: float, out: Bytes) -> None:
     """Paints the cells whose centres are inside boxes of one class; `always` also those under their middles."""
     cells = out.shape[0]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from me3bev_cli.api import BEV_CLASSES
+from me3bev_plugins.simulator.highway.camera_bridges import bridge_parts
 from me3bev_plugins.simulator.highway.geometry import Shape
 from me3bev_plugins.simulator.highway.ground import ground_of
 from me3bev_plugins.simulator.highway.ground_tiles import Paint, Tiles, lookup
@@ -103,7 +104,7 @@ class _Packer:
 
 
 def build_scenery(town: Town) -> Scenery:
-    """Buildings, trees, poles, signal heads with what carries them, and signs."""
+    """Buildings, trees, lamps, signal heads with what carries them, signs, and bridges."""
     packer = _Packer()
     for k, building in enumerate(town.buildings):
         _add_building(packer, k, building)
@@ -117,6 +118,8 @@ def build_scenery(town: Town) -> Scenery:
         shape = Shape.STOP if sign.kind == "stop" else Shape.YIELD
         ahead = np.array(sign.position[:2]) - 0.08 * np.array([np.cos(sign.heading), np.sin(sign.heading)])
         packer.add(shape, (float(ahead[0]), float(ahead[1])), sign.heading, (0.8, 0.8, 0.8), base=1.9)
+    for part in bridge_parts(town, ground_of(town)):
+        packer.add(Shape.BOX, part.at, part.heading, part.size, part.colour, base=part.base, side=part.side)
     return _sorted(packer, town)
 
 

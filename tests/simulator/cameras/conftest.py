@@ -88,3 +88,13 @@ def scene_of() -> Callable[..., Scene]:
 def street() -> Town:
     """The street with all its paint."""
     return make_town()
+
+
+@pytest.fixture(scope="session")
+def bridge() -> Town:
+    """A road along x at height 0 and one along y on a bridge 6 m above it, with ramps down on both sides."""
+    x = np.arange(-120.0, 121.0)
+    lower = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
+    ramp = np.clip(6.0 * (1 - (np.abs(x) - 20) / 80), 0, 6)
+    upper = np.stack([np.zeros_like(x), x, ramp], axis=1)
+    return Town("bridge", (Lane(0, lower, 4.0, 10.0), Lane(1, upper, 4.0, 10.0)), ())

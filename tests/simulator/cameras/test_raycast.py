@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from me3bev_cli.api import BEV_CLASSES, ObservationConfig
+from me3bev_plugins.simulator.highway.bev import bev_semantics
 from me3bev_plugins.simulator.highway.camera_scenery import scenery_of
 from me3bev_plugins.simulator.highway.camera_things import shape_of
 from me3bev_plugins.simulator.highway.cameras import Cameras
@@ -158,3 +159,24 @@ def test_far_things_are_where_rays_hit_them(street, scene_of):
     """At the distance of the plainer meshes a few pixels of a thing may differ, not more."""
     rng = np.random.default_rng(7)
     compare(scene_of(street, random_rows(rng, 24, reach=110.0)), 64, 176)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_bridges_are_where_rays_hit_them(bridge, scene_of, level):
+    """From below the deck with its piers, from above its parapets, and each level's own vehicles."""
+    rows = [(18.0, 0.5, 0.1, Kind.CAR), (-16.0, -0.5, 3.0, Kind.TRUCK), (0.5, 9.0, 1.5, Kind.VAN), (9.0, 3.5, 0.0, 4)]
+    place = (-12.0, 0.0, 0.2) if level == 0 else (0.0, -13.0, 1.6)
+    scene = scene_of(bridge, [(*row[:3], Kind(row[3])) for row in rows], ego=place)
+    scene.actors.z[2] = 6.0
+    scene.ego.z = 6.0 * level
+    compare(scene, 64, 176, level)
+    cameras = Cameras(bridge, surround_rig(ObservationConfig()))
+    depth, semantics = cameras.truth(scene)
+    front = depth[1][(semantics[1] == 0) & np.isfinite(depth[1])]
+    assert (front < 14.0).sum() > 200
+
+
+def test_decks_do_not_hide_the_road_from_the_map(bridge, scene_of):
+    scene = scene_of(bridge, [], ego=(-12.0, 0.0, 0.0))
+    road = bev_semantics(scene) == BEV_CLASSES.index("road")
+    assert road[60:100, 100].all()

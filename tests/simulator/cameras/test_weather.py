@@ -1,5 +1,10 @@
 """Weather: its names and what each draws."""
 
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -114,3 +119,31 @@ def test_rain_moves_with_the_world(view, street, scene_of):
     other = scene_of(street, [(12.0, -1.75, 0.0, Kind.CAR), (18.1, 1.75, np.pi, Kind.VAN)])
     sky = (slice(None), slice(None), slice(0, 20))
     assert (render(cameras, other, "rain")[sky] != once[sky]).any()
+
+
+_OTHER_PROCESS = """
+import zlib, numpy as np
+from conftest import make_scene, make_town
+from me3bev_cli.api import ObservationConfig
+from me3bev_plugins.simulator.highway.cameras import Cameras
+from me3bev_plugins.simulator.highway.rig import surround_rig
+from me3bev_plugins.simulator.highway.scene import Kind
+from me3bev_plugins.simulator.highway.weather import WEATHERS, weather_named
+scene = make_scene(make_town(), [(12.0, -1.75, 0.0, Kind.CAR), (9.0, 5.0, 1.0, Kind.PEDESTRIAN)])
+out = np.zeros((6, 3, 64, 176), np.uint8)
+cameras = Cameras(scene.town, surround_rig(ObservationConfig(height=64, width=176)))
+for name in WEATHERS:
+    scene.weather = weather_named(name)
+    cameras.render(scene, out)
+    print(zlib.crc32(out.tobytes()))
+"""
+
+
+def test_another_process_draws_the_same_bytes(town_of, scene_of):
+    told = subprocess.run(
+        [sys.executable, "-c", _OTHER_PROCESS], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+    )
+    scene = scene_of(town_of(), [(12.0, -1.75, 0.0, Kind.CAR), (9.0, 5.0, 1.0, Kind.PEDESTRIAN)])
+    cameras = Cameras(scene.town, surround_rig(ObservationConfig(height=64, width=176)))
+    own = [zlib.crc32(render(cameras, scene, name).tobytes()) for name in WEATHERS]
+    assert [int(line) for line in told.stdout.split()] == own
