@@ -203,11 +203,12 @@ def _ask(worker: Worker, *call: Any) -> Any:
 
 
 def _memory(world: World) -> tuple[float, float]:
-    """In two fresh processes, of which the first leaves compiled code where the second finds it."""
-    for _ in range(2):
+    """The least of three fresh processes: one that has to compile code first takes half as much again."""
+    found: list[tuple[float, float]] = []
+    for _ in range(3):
         with _worker() as worker:
-            found: tuple[float, float] = _ask(worker, "memory", world)
-    return found
+            found.append(_ask(worker, "memory", world))
+    return min(found, key=lambda megabytes: megabytes[1])
 
 
 @contextmanager
