@@ -16,6 +16,8 @@ from me3bev_plugins.simulator.highway.traffic_spawn import draw_models, put_vehi
 from me3bev_plugins.simulator.highway.traffic_state import extend, new_board, new_fleet, set_out
 from me3bev_plugins.simulator.highway.traffic_tables import tables
 
+HEAVY = 0.88
+"""How much more slowly trucks are driven."""
 STRONGEST = 3.5
 """The most that the ego can be told to speed up, m/s^2."""
 
@@ -54,7 +56,7 @@ class Traffic:
         models = draw_models(rng, vehicles, admitted)
         index, lane, s, speed = put_vehicles(rng, roads, models, stretches(self.town, roads, ego, path))
         seeds = rng.integers(0, 2**63, vehicles + 1, dtype=np.uint64)
-        eager = rng.uniform(0.85, 1.0, vehicles)
+        eager = rng.uniform(0.85, 1.0, vehicles) * np.where(models.kind == Kind.TRUCK, HEAVY, 1.0)
         count = len(index)
         self._fleet = new_fleet(count)
         cars = self._fleet.cars[:count]

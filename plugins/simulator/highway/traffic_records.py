@@ -21,8 +21,10 @@ TRAIL = 3
 SPACING = 0.5
 """Nearly the distance between two samples of a lane, metres (each lane divides its length evenly)."""
 
-SMALL, MEDIUM, LONG = 1, 2, 4
-"""Bits of `LANE.admits`: vehicles up to 6.2 m, up to 9 m, longer ones."""
+SMALL, SHORT, MEDIUM, LONG = 1, 2, 4, 8
+"""Bits of `LANE.admits`: vehicles up to 6.2 m, and trucks by `LENGTHS`."""
+LENGTHS = {SHORT: 7.5, MEDIUM: 9.0, LONG: 12.0}
+"""Greatest length of the trucks of each size, metres."""
 GO, YIELD, STOP = 0, 1, 2
 """Values of `LANE.sign`."""
 CROSS, LEAD = 0, 1

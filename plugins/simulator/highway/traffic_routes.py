@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints, Town
-from me3bev_plugins.simulator.highway.traffic_records import LONG, MEDIUM, SMALL, Record, Records
+from me3bev_plugins.simulator.highway.traffic_records import LONG, MEDIUM, SHORT, SMALL, Record, Records
 
 DESTINATIONS = 32
 """Per size of vehicle."""
@@ -25,9 +25,10 @@ TASTES = (0.7, 1.5)
 _SEED = 20
 
 
+@kernel
 def class_of(admits: int) -> int:
-    """0, 1, 2 for the bits SMALL, MEDIUM, LONG."""
-    return admits >> 1
+    """0 to 3 for the bits SMALL, SHORT, MEDIUM, LONG."""
+    return (admits > SMALL) + (admits > SHORT) + (admits > MEDIUM)
 
 
 @kernel
@@ -37,7 +38,7 @@ def time_into(lane: Record) -> float:
 
 
 def plan_routes(town: Town, lanes: Records) -> NDArray[np.float32]:
-    """Seconds (3, DESTINATIONS, L) from the start of lane i, by class of size, to each destination; infinite if never.
+    """Seconds (4, DESTINATIONS, L) from the start of lane i, by class of size, to each destination; infinite if never.
 
     A destination is a lane outside junctions with its neighbours of the same direction. Destinations are drawn by
     length; each weighs the lanes on the way by factors of its own, so that not everybody takes the same road.
@@ -48,8 +49,8 @@ def plan_routes(town: Town, lanes: Records) -> NDArray[np.float32]:
     begin, end, base = begin[order], end[order], base[order]
     changes = (lanes["left"][begin] == end) | (lanes["right"][begin] == end)
     start = np.searchsorted(end, np.arange(len(lanes) + 1)).astype(np.int32)
-    found = np.full((3, DESTINATIONS, len(lanes)), np.inf, np.float32)
-    for size in (SMALL, MEDIUM, LONG):
+    found = np.full((4, DESTINATIONS, len(lanes)), np.inf, np.float32)
+    for size in (SMALL, SHORT, MEDIUM, LONG):
         admitted = (lanes["admits"] & size) > 0
         goals = np.flatnonzero(admitted & (lanes["junction"] < 0))
         if not len(goals):

@@ -9,7 +9,7 @@ import numpy as np
 from me3bev_plugins.simulator.highway.ego_path import EgoPath
 from me3bev_plugins.simulator.highway.scene import Ego, Kind
 from me3bev_plugins.simulator.highway.town import Floats, Ints, Town
-from me3bev_plugins.simulator.highway.traffic_records import LARGE, LONG, MEDIUM, SMALL
+from me3bev_plugins.simulator.highway.traffic_records import LARGE, LENGTHS, SMALL
 from me3bev_plugins.simulator.highway.traffic_state import speed_at
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
@@ -62,14 +62,15 @@ def draw_models(rng: np.random.Generator, count: int, admitted: int) -> Models:
     """Kinds, sizes and colours; trucks only as long as some lanes of the town admit."""
     kinds = list(_SHARES)
     kind = rng.choice([int(k) for k in kinds], count, p=list(_SHARES.values())).astype(np.int32)
-    if not admitted & MEDIUM:
+    longest = max((length for size, length in LENGTHS.items() if admitted & size), default=0.0)
+    if not longest:
         kind[kind == Kind.TRUCK] = Kind.VAN
     sizes = rng.random((count, 3))
     for k in kinds:
         for axis, (low, high) in enumerate(_SIZES[k]):
             chosen = kind == k
-            if k == Kind.TRUCK and axis == 0 and not admitted & LONG:
-                high = 9.0
+            if k == Kind.TRUCK and axis == 0:
+                high = longest
             sizes[chosen, axis] = low + (high - low) * sizes[chosen, axis]
     colour = _COLOURS[rng.integers(0, len(_COLOURS), count)]
     return Models(kind, sizes[:, 0].copy(), sizes[:, 1].copy(), sizes[:, 2].copy(), colour)
@@ -77,7 +78,7 @@ def draw_models(rng: np.random.Generator, count: int, admitted: int) -> Models:
 
 def size_bit(length: float) -> int:
     """Which lanes a vehicle may use: a bit of `LANE.admits`."""
-    return SMALL if length <= 2 * LARGE else MEDIUM if length <= 9.0 else LONG
+    return SMALL if length <= 2 * LARGE else next(size for size, most in LENGTHS.items() if length <= most)
 
 
 def stretches(town: Town, roads: Roads, ego: Ego, path: EgoPath) -> list[Stretch]:

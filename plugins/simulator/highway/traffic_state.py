@@ -9,7 +9,7 @@ import numpy as np
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
 from me3bev_plugins.simulator.highway.traffic_records import ENTRY, PATH, TRAIL, USER, VEHICLE, Record, Records
-from me3bev_plugins.simulator.highway.traffic_routes import time_into
+from me3bev_plugins.simulator.highway.traffic_routes import class_of, time_into
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
 HORIZON = 150.0
@@ -134,14 +134,14 @@ def choose_next(roads: Roads, car: Record, lane: int, barred: int) -> int:
 @kernel
 def time_left(roads: Roads, car: Record, lane: int) -> float:
     """Seconds from the start of a lane to the vehicle's destination; infinite where it may not go."""
-    return float(roads.times[car.admits >> 1, car.goal, lane])
+    return float(roads.times[class_of(car.admits), car.goal, lane])
 
 
 @kernel
 def choose_goal(roads: Roads, car: Record, lane: int) -> None:
     """Give the vehicle a destination that it can reach from a lane and that is not near, if there is one."""
     count = roads.times.shape[1]
-    size = car.admits >> 1
+    size = class_of(car.admits)
     for attempt in range(12):
         goal = int(draw(car) * count)
         left = roads.times[size, goal, lane]

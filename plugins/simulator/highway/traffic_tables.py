@@ -18,8 +18,7 @@ from me3bev_plugins.simulator.highway.traffic_records import (
     GO,
     HALF,
     LANE,
-    LONG,
-    MEDIUM,
+    LENGTHS,
     SAMPLE,
     SMALL,
     SPACING,
@@ -39,7 +38,6 @@ SLOWEST = 2.5
 REACH = 8.0
 """Turning vehicles sweep no more than this of the roads at a junction, metres."""
 _TURNS = {"straight": 0, "right": 1, "left": 2, "uturn": 3}
-_LENGTHS = {MEDIUM: 9.0, LONG: 12.0}
 
 
 class Roads(NamedTuple):
@@ -66,7 +64,7 @@ class Roads(NamedTuple):
     mobil: Floats
     """(4,) politeness, least gain of acceleration, greatest braking imposed on others, seconds between two thoughts."""
     times: NDArray[np.float32]
-    """(3, D, L) seconds to every destination, as `plan_routes` gives them."""
+    """(4, D, L) seconds to every destination, as `plan_routes` gives them."""
 
 
 class Tables(NamedTuple):
@@ -177,7 +175,7 @@ def _admit(town: Town, lanes: Records, samples: Records, zones: Records, zone_st
     if not endless.any():
         endless[:] = True  # A town without any loop: vehicles stop where the road does.
     lanes["admits"] = np.where(endless, SMALL, 0)
-    for size, length in _LENGTHS.items():
+    for size, length in LENGTHS.items():
         # Both axles are on the line, 0.6 of the length apart: so far the outer front corner leaves it.
         sweep = 0.08 * length**2 * sharpest + 1.25
         stays = np.array([_leaves_room(town, lanes, gate, i, length) for i in range(len(lanes))])

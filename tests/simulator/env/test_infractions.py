@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,3 +72,31 @@ def test_inside_polygon_by_angles() -> None:
         rays = polygon - (x, y)
         turn = np.angle(np.exp(1j * np.diff(np.arctan2(*np.r_[rays, rays[:1]].T[::-1])))).sum()
         assert inside_polygon(polygon, x, y) == (abs(turn) > math.pi)
+
+
+def test_who_begins_beyond_the_line_or_waits_on_it_runs_nothing(town: Town) -> None:
+    assert drive(town, [(60.1, 0, 0, 3), (61.0, 0, 0, 3)], Light.RED) == [NONE]
+    assert drive(town, [(59.8, 0, 0, 0), (59.8, 0, 0, 0), (59.99, 0, 0, 0.1)], Light.RED) == [NONE, NONE]
+
+
+def test_creeping_over_the_line_on_red_counts_once(town: Town) -> None:
+    poses = [(59.9 + 0.05 * k, 0, 0, 0.5) for k in range(8)]
+    broken = drive(town, poses, Light.RED)
+    assert sum(b.red_light for b in broken) == 1
+
+
+def test_a_turn_across_the_end_of_another_lane_is_not_its_line(town: Town) -> None:
+    # Round to the north over the end of lane 0, at a right angle to it, and out of the junction again.
+    north = math.pi / 2
+    assert drive(town, [(60.5, -3.0, north, 5), (60.5, 0.0, north, 5), (60.5, 3.0, north, 5)], Light.RED) == [NONE] * 2
+    # Coming from the side into the lane beyond its line.
+    assert drive(town, [(62.0, -3.0, 1.0, 5), (63.0, -1.0, 0.7, 5), (64.5, 0.0, 0.2, 5)], Light.RED) == [NONE] * 2
+
+
+def test_a_stop_counts_for_one_passage_and_a_yield_sign_asks_for_none(town: Town) -> None:
+    north = math.pi / 2
+    stopped = [(70, 104.0, north, 5), (70, 107.0, north, 0.2), (70, 110.5, north, 5)]
+    again = [(70, 109.0, north, 5), (70, 110.5, north, 5)]
+    assert [b.stop_sign for b in drive(town, stopped + again, Light.GREEN)] == [False, False, False, True]
+    yields = replace(town, signs=(replace(town.signs[0], kind="yield"),))
+    assert drive(yields, [(70, 109.0, north, 9), (70, 110.5, north, 9)], Light.GREEN) == [NONE]

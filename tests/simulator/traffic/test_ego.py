@@ -10,7 +10,7 @@ from simulator.traffic.test_conflicts import connector
 
 from me3bev_plugins.simulator.highway.ego_path import EgoPath
 from me3bev_plugins.simulator.highway.scene import Light
-from me3bev_plugins.simulator.highway.town import Town
+from me3bev_plugins.simulator.highway.town import Lane, Town
 from me3bev_plugins.simulator.highway.traffic import Traffic
 from me3bev_plugins.simulator.highway.traffic_tables import tables
 
@@ -161,3 +161,32 @@ def test_traffic_leaves_an_ego_with_the_right_of_way_its_turn() -> None:
     log = ride(traffic, TOWN, lanes, TOWN.lanes[mine].length - 14.0, 5.0, 60)
     assert log[-1][0] > 25.0
     assert min(speed for _, speed in log[:20]) > 3.0
+
+
+@pytest.mark.parametrize("speed", [4.0, 9.0])
+def test_an_ego_that_comes_against_the_traffic_is_braked_for(speed: float) -> None:
+    town = straight_town(600.0, 15.0)
+    traffic = staged(town, [(0, 100.0, 14.0)])
+    x = 260.0
+    for _ in range(300):
+        x -= 0.1 * speed
+        ego, path = ego_on(town, [0], x, speed)
+        ego.heading = np.pi
+        traffic.step(0.1, ego, path)
+        if overlap(box(traffic.actors, 0), ego_box(ego)):
+            break
+    # The ego drives into a car that stands.
+    assert traffic.actors.speed[0] < 0.1
+
+
+def test_an_ego_that_turns_round_in_the_road_stops_both_directions() -> None:
+    both = straight_town(400.0, 15.0)
+    back = both.lanes[0].points[::-1] + np.array([0.0, 4.0, 0.0])
+    town = Town("both", (both.lanes[0], Lane(1, back, 4.0, 15.0)), ())
+    traffic = staged(town, [(0, 80.0, 15.0), (1, 80.0, 15.0)])
+    ego, path = ego_on(town, [0], 200.0, lateral=2.0)
+    ego.heading = np.pi / 2
+    for _ in range(250):
+        traffic.step(0.1, ego, path)
+        assert not any(overlap(box(traffic.actors, i), ego_box(ego)) for i in (0, 1))
+    assert (traffic.actors.speed < 0.05).all()
