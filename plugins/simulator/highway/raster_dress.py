@@ -108,7 +108,11 @@ def dress(
             style = GLOW
         else:
             r, g, b = 0.14 * r + 8, 0.14 * g + 8, 0.14 * b + 8
-    elif role in (_HEADLAMP, _LAMP):
+    elif role == _HEADLAMP:
+        style = GLOW
+        if light[LAMPS] == 0.0:
+            r, g, b = 0.88 * r, 0.9 * g, 0.94 * b
+    elif role == _LAMP:
         style = GLOW if light[LAMPS] > 0.0 else PLAIN
     canvas.style[face] = style
     corner = meshes.corner[f]

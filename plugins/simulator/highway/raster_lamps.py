@@ -165,7 +165,7 @@ def glare(
             continue
         if canvas.inverse[row, column] * (z - 0.6) > 1.0:
             continue
-        radius = min(0.12 * pin[0], max(0.006 * pin[0], 2.4 * pin[0] * lamp[6] / z))
+        radius = min(0.09 * pin[0], max(0.006 * pin[0], 2.4 * pin[0] * lamp[6] / z))
         much = strength * (0.35 + 0.65 * facing)
         _splash(out, canvas, u, v, radius, radius, much, lamp, False)
         if wetness > 0.0:
