@@ -173,7 +173,7 @@ def _draw_thing(sheet: Sheet, n: Floats, label: NDArray[np.int64]) -> None:
     if label[SEMANTIC] == PEDESTRIAN:
         sheet.disc(at, 0.75, (255, 255, 255))
         sheet.disc(at, 0.5, WALKER)
-    elif label[SHAPE] in (Shape.TREE, Shape.CONIFER):
+    elif label[SHAPE] in (Shape.TREE, Shape.CONIFER, Shape.POPLAR):
         sheet.disc(at, 0.5 * size[0], colour)
     elif label[SHAPE] == Shape.SIGNAL:
         sheet.disc(at, 0.8, (24, 26, 30))
