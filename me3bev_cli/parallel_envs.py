@@ -60,10 +60,12 @@ class ParallelEnvs(VecEnv):
         """Begin an episode in every environment."""
         self._pool.settle()
         calls = [("reset", self._seeds[rows], self._options[rows]) for rows in self._rows]
-        self.reset_infos = [info for infos in self._pool.call(calls) for info in infos]
+        self._pool.send(calls)
+        told, observations = self._pool.receive_observations()
+        self.reset_infos = [info for infos in told for info in infos]
         self._reset_seeds()
         self._reset_options()
-        return self._observations()
+        return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Let every worker begin to step its environments."""
@@ -74,7 +76,8 @@ class ParallelEnvs(VecEnv):
         rewards: list[float] = []
         dones: list[bool] = []
         infos: list[dict[str, Any]] = []
-        for rows, (some_rewards, some_dones, some_infos, resets) in zip(self._rows, self._pool.receive(), strict=True):
+        results, observations = self._pool.receive_observations()
+        for rows, (some_rewards, some_dones, some_infos, resets) in zip(self._rows, results, strict=True):
             rewards += some_rewards
             dones += some_dones
             infos += some_infos
@@ -82,15 +85,11 @@ class ParallelEnvs(VecEnv):
                 index = rows.start + i
                 self.reset_infos[index] = told
                 infos[index]["terminal_observation"] = self._last_of(index)
-        return self._observations(), np.array(rewards, np.float32), np.array(dones, bool), infos
+        return observations, np.array(rewards, np.float32), np.array(dones, bool), infos
 
     def close(self) -> None:
         """End the workers; may be called twice."""
         self._tidy()
-
-    def _observations(self) -> Frames:
-        assert self._pool.memory is not None
-        return {key: array.copy() for key, array in self._pool.memory.newest.items()}
 
     def _last_of(self, index: int) -> Frames:
         assert self._pool.memory is not None
@@ -158,8 +157,19 @@ class _Pool:
             except ConnectionError:
                 raise self._died(number) from None
 
-    def receive(self) -> list[Any]:
-        """The workers' results. Raises what the first of them raised, when all have answered."""
+    def receive_observations(self) -> tuple[list[Any], Frames]:
+        """The workers' results and a copy of the observations, each worker's while later ones are still at work."""
+        assert self.memory is not None
+        memory = self.memory
+        observations = {key: np.empty_like(array) for key, array in memory.newest.items()}
+        return self.receive(lambda number: memory.copy(self.rows[number], observations)), observations
+
+    def receive(self, heard: Callable[[int], None] | None = None) -> list[Any]:
+        """The workers' results. Raises what the first of them raised, when all have answered.
+
+        Args:
+            heard: called with the number of each worker when it has answered.
+        """
         if not self.busy:
             raise RuntimeError("step_wait() was called without step_async()")
         results: list[Any] = []
@@ -168,6 +178,8 @@ class _Pool:
             for number, worker in enumerate(self.workers):
                 try:
                     results.append(worker.receive())
+                    if heard is not None:
+                        heard(number)
                 except (EOFError, ConnectionError):
                     raise self._died(number) from None
                 except (UserError, JobError) as raised:

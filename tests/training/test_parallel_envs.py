@@ -101,11 +101,15 @@ def test_towns_give_the_same_bytes_in_any_process_and_order() -> None:
 
 def test_what_is_returned_stays_as_it_is() -> None:
     with noise(2, 2) as envs:
-        first = envs.reset()
-        kept = {key: value.copy() for key, value in first.items()}
-        envs.step(np.zeros((2, 2)))
-        for key, value in first.items():
-            np.testing.assert_array_equal(value, kept[key])
+        held: list[Any] = [envs.reset()]
+        held += [envs.step(np.zeros((2, 2)))[0] for _ in range(6)]
+        held.append({"images": envs.step(np.zeros((2, 2)))[0]["images"][1, 0]})
+        kept = [{key: value.copy() for key, value in observation.items()} for observation in held]
+        for _ in range(6):
+            envs.step(np.zeros((2, 2)))
+        for observation, copy in zip(held, kept, strict=True):
+            for key, value in observation.items():
+                np.testing.assert_array_equal(value, copy[key])
 
 
 def test_attributes_and_methods_of_chosen_environments() -> None:
