@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 from me3bev_cli.environment_host import EnvironmentHost
 from me3bev_cli.errors import UserError
 from me3bev_cli.shared_observations import Frames, SharedObservations
-from me3bev_cli.workers import JobError, Worker, WorkerDiedError, stop_workers
+from me3bev_cli.workers import JobError, Worker, WorkerDiedError, core_of_each, stop_workers
 
 
 class ParallelEnvs(VecEnv):
@@ -44,7 +44,8 @@ class ParallelEnvs(VecEnv):
         self._pool = pool = _Pool(self._rows)
         self._tidy = weakref.finalize(self, pool.close)
         try:
-            pool.workers += [Worker(EnvironmentHost(makers[rows], rows.start)) for rows in self._rows]
+            for rows, core in zip(self._rows, core_of_each(len(self._rows)), strict=True):
+                pool.workers.append(Worker(EnvironmentHost(makers[rows], rows.start), core))
             observation_space, action_space = pool.call([("open",)] * len(self._rows))[0]
             pool.memory = SharedObservations(observation_space, count)
             try:

@@ -8,7 +8,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
@@ -40,6 +40,16 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def core_of_each(workers: int) -> list[int | None]:
+    """The processor that each of some workers is to stay on: all, one each, or None where they are not as many.
+
+    Workers that are woken in turn by one process, and wait for each other, are otherwise often put on the same one.
+    """
+    if not hasattr(os, "sched_getaffinity") or workers != cores():
+        return [None] * workers
+    return [*sorted(os.sched_getaffinity(0))]
+
+
 class Worker:
     """A fresh process (spawn) that computes with one thread per library and writes what it prints to stderr.
 
@@ -48,12 +58,13 @@ class Worker:
 
     Args:
         function: of one argument; can be pickled, as its arguments and results can.
+        core: the processor to stay on; None: any.
     """
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
+    def __init__(self, function: Callable[[Any], Any], core: int | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         self.connection, there = context.Pipe()
-        self.process = context.Process(target=_serve, args=(there, function), daemon=True)
+        self.process = context.Process(target=_serve, args=(there, function, core), daemon=True)
         with _one_thread(), _ctrl_c_waits():
             self.process.start()
         # Ours must be the only open copies, or nobody learns that the other side is gone.
@@ -102,8 +113,11 @@ def stop_workers(workers: Iterable[Worker], at_once: bool) -> None:
             worker.process.join()
 
 
-def _serve(connection: Connection, function: Callable[[Any], Any]) -> None:
+def _serve(connection: Connection, function: Callable[[Any], Any], core: int | None) -> None:
     """A worker's life: do what comes through the pipe until it closes."""
+    if core is not None:
+        with suppress(OSError):  # It may have been taken away meanwhile.
+            os.sched_setaffinity(0, {core})
     # Stdout belongs to the command's results; libraries that greet there go to stderr.
     sys.stdout = sys.stderr
     os.dup2(2, 1)

@@ -23,7 +23,7 @@ from me3bev_cli.parallel_envs import ParallelEnvs
 from me3bev_cli.recipe_loading import resolve_recipe
 from me3bev_cli.training.environments import make_environments
 from me3bev_cli.training.episodes import EpisodeMaker
-from me3bev_cli.workers import JobError, WorkerDiedError
+from me3bev_cli.workers import JobError, WorkerDiedError, core_of_each
 from me3bev_plugins.simulator.highway import Highway, HighwayConfig
 
 TESTS = Path(__file__).resolve().parent.parent
@@ -123,6 +123,16 @@ def test_attributes_and_methods_of_chosen_environments() -> None:
         assert not envs.has_attr("nothing")
         with pytest.raises(AttributeError, match="'nothing'"):
             envs.get_attr("nothing")
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processes cannot be kept on a processor here")
+def test_one_worker_per_core_stays_on_its_own() -> None:
+    mine = os.sched_getaffinity(0)
+    with noise(2, 2) as envs:
+        places = [os.sched_getaffinity(pid) for pid in envs.env_method("pid")]
+        assert places == ([{core} for core in sorted(mine)] if len(mine) == 2 else [mine, mine])
+    assert core_of_each(len(mine)) == sorted(mine)
+    assert core_of_each(len(mine) + 1) == [None] * (len(mine) + 1)
 
 
 def test_mistakes_and_defects_come_back_and_the_others_go_on() -> None:
