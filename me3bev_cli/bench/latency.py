@@ -1,124 +1,125 @@
-"""Latency from raw observation to action, whole and by stage.
+"""Latency from raw observation to action, whole and by stage, of networks and contexts that take turns.
 
 Timed: from uint8 images and float32 features in host memory to a clipped action in host memory, the policy's memory
-included. Not timed: the simulator, building the network, and the first calls (warm-up). The recipes that are compared
-take turns, call by call, so that a change of the machine's speed touches all of them.
+included. Not timed: the simulator, building the network, and the first calls (warm-up). Networks take turns frame by
+frame, so that a change of the machine's speed touches all of them, and the machine's ceilings are sampled between.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
+from me3bev_cli.bench.latency_network import Bench, Conditions, Variant
+from me3bev_cli.bench.latency_subjects import Subject
+from me3bev_cli.bench.machine_ceilings import Ceilings
 
-from me3bev_cli.api import NAVIGATION_WIDTH, ROAD_WIDTH, VEHICLE_WIDTH
-from me3bev_cli.pipeline.assemble import build_network
-from me3bev_cli.pipeline.control import to_tensors
+LEAST = 3
+"""Calls that even the slowest context gets."""
+WARMUP_SECONDS = 0.2
+"""A context that has taken this long is warm."""
+CEILING_SAMPLES = 10
 
-if TYPE_CHECKING:
-    from me3bev_cli.recipe import Recipe
+Progress = Callable[[str, int, int, float | None], None]
+"""What is done, how much of it, of how much, and the seconds left, if known."""
 
-STAGES = ("sensor", "encode", "temporal", "fusion_policy", "control")
-"""In flow order. `encode` is the spatial plugin and the two vector encoders."""
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to measure."""
+
+    warmup: int = 5
+    """Frames before the timing begins."""
+    repeats: int = 50
+    """Timed frames of each network in each context, at most."""
+    seconds: float = 120.0
+    """Of timing in all; slow contexts end when they have used their share."""
 
 
 @dataclass
-class Timing:
-    """Times of one recipe, milliseconds."""
+class Measured:
+    """What was found before the time was over or somebody stopped it."""
 
-    name: str
-    parameters: int
-    whole: list[float] = field(default_factory=list)
-    stages: dict[str, list[float]] = field(default_factory=lambda: {stage: [] for stage in STAGES})
+    benches: list[Bench]
+    ceilings: Ceilings
+    stopped: bool = False
 
-    def row(self) -> dict[str, Any]:
-        """Median, 95th and 99th percentile of the whole, and medians of the stages."""
-        median, p95, p99 = np.percentile(self.whole, [50, 95, 99])
-        return {
-            "name": self.name,
-            "parameters": self.parameters,
-            "median_ms": float(median),
-            "p95_ms": float(p95),
-            "p99_ms": float(p99),
-            "frames_per_s": float(1000 / median),
-            "stages": {stage: float(np.median(times)) for stage, times in self.stages.items()},
-        }
+    @property
+    def variants(self) -> list[Variant]:
+        """Those that were timed at least once."""
+        return [variant for bench in self.benches for variant in bench.variants if variant.samples]
 
 
-class Bench:
-    """One recipe's network, ready to be called on random observations."""
-
-    def __init__(self, recipe: Recipe, device: torch.device, batch: int) -> None:
-        self.device, self.batch = device, batch
-        self.network = build_network(recipe, recipe.seed).to(device).eval()
-        self.timing = Timing(recipe.name, sum(p.numel() for p in self.network.parameters()))
-        self.observation = random_observation(recipe, batch)
-        self.state = self.network.initial_state(batch)
-        self.starts = torch.ones(batch, dtype=torch.bool, device=device)
-        self.clear = torch.zeros_like(self.starts)
-
-    def _mark(self) -> float:
-        if self.device.type == "cuda":
-            torch.cuda.synchronize(self.device)
-        return time.perf_counter()
-
-    @torch.inference_mode()
-    def call(self, keep: bool) -> None:
-        """One frame; its times are kept unless it is a warm-up."""
-        network = self.network
-        marks = [self._mark()]
-        frames = to_tensors(self.observation, self.device)
-        images = network.sensor.images(frames) if network.spatial is not None else None
-        vectors = network.sensor.vectors(frames)
-        marks.append(self._mark())
-        embeddings = network.embed(images, vectors)
-        marks.append(self._mark())
-        latents, self.state = network.memory.step(embeddings, self.state, self.starts)
-        self.starts = self.clear
-        marks.append(self._mark())
-        decision = network.decide(latents)
-        marks.append(self._mark())
-        decision.actions.mode().clamp(-1.0, 1.0).cpu().numpy()
-        marks.append(self._mark())
-        if keep:
-            for stage, before, after in zip(STAGES, marks, marks[1:], strict=False):
-                self.timing.stages[stage].append(1000 * (after - before))
-            self.timing.whole.append(1000 * (marks[-1] - marks[0]))
-
-
-def random_observation(recipe: Recipe, batch: int) -> dict[str, NDArray[Any]]:
-    """Noise of the recipe's shapes and types, with a leading batch axis."""
-    generator = np.random.default_rng(0)
-    cameras, height, width = len(recipe.observation.cameras), recipe.observation.height, recipe.observation.width
-    observation: dict[str, NDArray[Any]] = {
-        "road": generator.random((batch, ROAD_WIDTH), np.float32),
-        "vehicle": generator.random((batch, VEHICLE_WIDTH), np.float32),
-        "navigation": generator.random((batch, NAVIGATION_WIDTH), np.float32),
-    }
-    if "bev" in recipe.modalities:
-        observation["images"] = generator.integers(0, 256, (batch, cameras, 3, height, width), np.uint8)
-    return observation
+def _silent(what: str, done: int, total: int, left: float | None) -> None:
+    pass
 
 
 def measure(
-    recipes: list[Recipe],
-    device: torch.device,
-    *,
-    batch: int = 1,
-    warmup: int = 5,
-    repeats: int = 50,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[dict[str, Any]]:
-    """Time the recipes in turn; a row for each, as `Timing.row`."""
-    benches = [Bench(recipe, device, batch) for recipe in recipes]
-    for number in range(warmup + repeats):
-        for bench in benches:
-            bench.call(keep=number >= warmup)
-        if progress is not None:
-            progress(number + 1, warmup + repeats)
-    return [bench.timing.row() for bench in benches]
+    subjects: Sequence[Subject],
+    conditions: Conditions,
+    effort: Effort,
+    lengths: Sequence[int] | None = None,
+    progress: Progress = _silent,
+    stopped: Callable[[], bool] = lambda: False,
+    ceilings: Ceilings | None = None,
+) -> Measured:
+    """Build the networks and time them in turns.
+
+    Args:
+        lengths: of the contexts; None: the usual ones and each recipe's own.
+        stopped: asked between two frames; what has been measured by then is kept.
+    """
+    ceilings = ceilings or Ceilings(conditions.device, conditions.dtype)
+    measured = Measured([], ceilings)
+    begun = time.perf_counter()
+    for number, subject in enumerate(subjects):
+        left = None if number == 0 else (time.perf_counter() - begun) / number * (len(subjects) - number)
+        progress("building", number, len(subjects), None if left is None else left + effort.seconds)
+        if stopped():
+            break
+        bench = Bench(subject, conditions, lengths)
+        _warm_up(bench, effort.warmup)
+        measured.benches.append(bench)
+    ceilings.sample()
+    if not stopped():
+        _take_turns(measured, effort, progress, stopped)
+    measured.stopped = stopped()
+    return measured
+
+
+def _warm_up(bench: Bench, frames: int) -> None:
+    """Each context for so many frames, or until it is warm: it has been called once for its costs already."""
+    due = list(bench.variants)
+    spent = dict.fromkeys(due, 0.0)
+    for _ in range(frames):
+        if not due:
+            return
+        for variant, seconds in bench.turn(due, keep=False).items():
+            spent[variant] += seconds
+        due = [variant for variant in due if spent[variant] < WARMUP_SECONDS]
+
+
+def _take_turns(measured: Measured, effort: Effort, progress: Progress, stopped: Callable[[], bool]) -> None:
+    """Rounds in which every network has a turn, until all contexts have enough calls or the time is over."""
+    count = sum(len(bench.variants) for bench in measured.benches)
+    share = effort.seconds / max(count, 1)
+    spent = {variant: 0.0 for bench in measured.benches for variant in bench.variants}
+    begun, pause = time.perf_counter(), max(1, effort.repeats // CEILING_SAMPLES)
+
+    def due(bench: Bench) -> list[Variant]:
+        return [v for v in bench.variants if len(v.samples) < LEAST or spent[v] < share]
+
+    for number in range(effort.repeats):
+        passed = time.perf_counter() - begun
+        if number >= LEAST and passed > effort.seconds:
+            return
+        expected = passed / max(number, 1) * (effort.repeats - number)
+        progress("timing", number, effort.repeats, min(expected, effort.seconds - passed) if number else None)
+        for bench in measured.benches:
+            if stopped():
+                return
+            for variant, seconds in bench.turn(due(bench)).items():
+                spent[variant] += seconds
+        if number % pause == 0:
+            measured.ceilings.sample()

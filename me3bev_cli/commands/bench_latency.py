@@ -1,82 +1,145 @@
-"""`me3bev bench-latency`: time from raw observation to action, for each recipe and stage."""
+"""`me3bev bench-latency`: time from raw observation to action, by network, stage and context."""
 
 from __future__ import annotations
 
-import sys
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from me3bev_cli.errors import UserError, unknown_name
+
+if TYPE_CHECKING:
+    from me3bev_cli.bench.latency_session import Outcome, Plan
+
+OVER_BUDGET = 3
+"""Exit code."""
+
 
 def bench_latency(
-    recipes: Annotated[
-        list[str] | None, typer.Argument(help="Recipes to compare. Default: every shipped full-size recipe.")
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="Recipes, or run or checkpoint folders. Default: every pair of installed plugins at full size.",
+            metavar="[RECIPE|RUN]...",
+        ),
+    ] = None,
+    context: Annotated[
+        str | None,
+        typer.Option(help="Frames, as window and as stream. Default: 4,16,64,256,1024 and each recipe's own."),
     ] = None,
     batch: Annotated[int, typer.Option(help="Observations per call.", min=1)] = 1,
-    repeats: Annotated[int, typer.Option(help="Timed calls of each recipe.", min=1)] = 50,
-    warmup: Annotated[int, typer.Option(help="Calls before the timing begins.", min=1)] = 5,
-    threads: Annotated[int | None, typer.Option(help="CPU threads. Default: all cores.", min=1)] = None,
+    threads: Annotated[int | None, typer.Option(help="CPU threads. Default: as torch chooses.", min=1)] = None,
+    dtype: Annotated[str, typer.Option(help="fp32, or bf16 by autocast.")] = "fp32",
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    graphs: Annotated[bool, typer.Option(help="On CUDA: graphs where they apply.")] = True,
+    repeats: Annotated[int, typer.Option(help="Timed calls of each context, at most.", min=1)] = 50,
+    seconds: Annotated[float, typer.Option(help="Of timing in all; slow contexts get fewer calls.", min=0)] = 120,
+    warmup: Annotated[int, typer.Option(help="Calls before the timing begins.", min=0)] = 5,
+    budget_ms: Annotated[
+        float | None,
+        typer.Option(help="Exit with 3 if a 95th percentile exceeds it: of --context's, else of each recipe's own."),
+    ] = None,
+    with_scores: Annotated[
+        bool, typer.Option("--with-scores", help="Speed against driving score of evaluated runs. Default: all of them.")
+    ] = False,
     json: Annotated[str | None, typer.Option(help="Write the figures.", metavar="FILE|-")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Write the rows.", metavar="FILE")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw latency by context, and the stages' shares.", metavar="FILE.png")
+    ] = None,
+    scores_plot: Annotated[Path, typer.Option(help="Where --with-scores draws.", metavar="FILE.png")] = Path(
+        "latency-scores.png"
+    ),
 ) -> None:
-    """Time each recipe's policy from raw observation to action."""
-    import torch
+    """Time networks from raw observation to clipped action, by stage and context.
 
-    from me3bev_cli.bench.latency import measure
-    from me3bev_cli.output import write_json
-    from me3bev_cli.pipeline.assemble import pick_device
-    from me3bev_cli.recipe_loading import resolve_recipe, shipped_recipes
+    Networks take turns frame by frame in one process. Beside the times stand parameters, operations, memory and the
+    distance from what the machine, measured in the same turns, could do at most. Ctrl-C prints what has been measured.
+    """
+    if dtype not in ("fp32", "bf16"):
+        raise unknown_name("dtype", dtype, ("fp32", "bf16"), where="--dtype")
+    lengths = None if context is None else _lengths(context)
+    if budget_ms is not None and budget_ms <= 0:
+        raise UserError(f"{budget_ms:g} ms is no budget", where="--budget-ms", allowed="milliseconds above 0")
+    from me3bev_cli.bench.latency import Effort
+    from me3bev_cli.bench.latency_session import prepare, run
 
-    # me3bev_weather has the network of me3bev.
-    names = recipes or [name for name in shipped_recipes() if name not in ("me3bev_weather", "quickstart", "small")]
-    loaded = [resolve_recipe(name) for name in names]
-    if threads is not None:
-        torch.set_num_threads(threads)
-    place = pick_device(device)
-    setup = {
-        "timed": "uint8 images and features in host memory -> clipped action in host memory, with the policy's memory",
-        "not_timed": "simulator, building the network, warm-up calls",
-        "device": torch.cuda.get_device_name(place) if place.type == "cuda" else "cpu",
-        "threads": torch.get_num_threads(),
-        "dtype": "float32",
-        "batch": batch,
-        "repeats": repeats,
-        "torch": torch.__version__,
-    }
-    rows = measure(loaded, place, batch=batch, warmup=warmup, repeats=repeats, progress=_show)
-    _print(setup, rows, json)
+    effort = Effort(warmup=warmup, repeats=repeats, seconds=seconds)
+    plan: Plan = prepare(
+        sources or [], lengths, batch=batch, threads=threads, dtype=dtype, device=device, graphs=graphs,
+        effort=effort, with_scores=with_scores,
+    )  # fmt: skip
+    for line in plan.skipped:
+        typer.echo(f"me3bev: left out: {line}", err=True)
+    outcome = run(plan)
+    if not outcome.rows:
+        typer.echo("me3bev: stopped: nothing has been measured yet", err=True)
+        raise typer.Exit(130)
+    written = _write(outcome, json, csv, plot, scores_plot, budget_ms)
+    _print(outcome, json, written)
+    _judge(outcome, budget_ms, every=context is not None)
+
+
+def _lengths(text: str) -> list[int]:
+    """`4,16` -> [4, 16]."""
+    words = [word.strip() for word in text.split(",")]
+    for word in words:
+        if not word.isdecimal() or not 1 <= int(word) <= 65536:
+            raise UserError(f"'{word}' is no number of frames", where="--context", allowed="as 4,16,64; 1 to 65536")
+    return [int(word) for word in words]
+
+
+def _write(
+    outcome: Outcome, json: str | None, csv: Path | None, plot: Path | None, scores_plot: Path, budget_ms: float | None
+) -> list[Path]:
+    from me3bev_cli.bench.latency_rows import csv_text
+    from me3bev_cli.files import atomic_write_bytes, atomic_write_text
+    from me3bev_cli.output import STDOUT, write_json
+
+    written = []
     if json is not None:
-        write_json({"setup": setup, "rows": rows}, json)
+        write_json(outcome.report, json)
+        written += [Path(json)] if json != STDOUT else []
+    if csv is not None:
+        atomic_write_text(csv, csv_text(outcome.rows))
+        written.append(csv)
+    if plot is not None:
+        atomic_write_bytes(plot, outcome.picture(budget_ms))
+        written.append(plot)
+    if outcome.points:
+        atomic_write_bytes(scores_plot, outcome.score_picture())
+        written.append(scores_plot)
+    return written
 
 
-def _show(done: int, total: int) -> None:
-    """A counter on stderr, in a terminal only."""
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\rround {done}/{total}" + ("\r\x1b[2K" if done == total else ""))
-        sys.stderr.flush()
+def _print(outcome: Outcome, json: str | None, written: list[Any]) -> None:
+    from rich.markup import escape
 
-
-def _print(setup: dict[str, Any], rows: list[dict[str, Any]], json: str | None) -> None:
-    from rich import box
-    from rich.table import Table
-
+    from me3bev_cli.bench.latency_tables import preface, score_tables, tables
     from me3bev_cli.output import console
 
     place = console(json)
-    place.print(f"timed: {setup['timed']}\nnot timed: {setup['not_timed']}")
-    place.print(
-        f"{setup['device']}, {setup['threads']} threads, {setup['dtype']}, batch {setup['batch']}, "
-        f"{setup['repeats']} calls each, taking turns; torch {setup['torch']}"
-    )
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, caption="milliseconds; stages are medians", padding=(0, 1, 0, 0))
-    table.add_column("recipe", no_wrap=True)
-    for name in ("params", "median", "p95", "p99", "fps", *(stage.split("_")[0] for stage in rows[0]["stages"])):
-        table.add_column(name, justify="right", no_wrap=True)
-    for row in rows:
-        table.add_row(
-            row["name"],
-            f"{row['parameters'] / 1e6:.1f}M",
-            *(f"{row[key]:.1f}" for key in ("median_ms", "p95_ms", "p99_ms", "frames_per_s")),
-            *(f"{value:.1f}" for value in row["stages"].values()),
-        )
-    place.print(table)
+    for line in preface(outcome.report):
+        place.print(line, markup=False, soft_wrap=True)
+    for headline, table in [*tables(outcome.rows), *score_tables(outcome.points)]:
+        place.print(f"\n{headline}", style="bold", markup=False)
+        place.print(table)
+    for path in written:
+        place.print(f"wrote {escape(str(path))}", soft_wrap=True)
+
+
+def _judge(outcome: Outcome, budget_ms: float | None, every: bool) -> None:
+    """Exit with 130 after Ctrl-C, else with 3 where the budget is exceeded."""
+    from me3bev_cli.bench.latency_rows import over_budget
+    from me3bev_cli.bench.latency_tables import context
+
+    over = [] if budget_ms is None else over_budget(outcome.rows, budget_ms, every)
+    if over:
+        named = ", ".join(f"{row['name']} {context(row)} ({row['p95_ms']:.1f} ms)" for row in over)
+        typer.echo(f"me3bev: over the budget of {budget_ms:g} ms at the 95th percentile: {named}", err=True)
+    if outcome.stopped:
+        typer.echo("me3bev: stopped: the figures are those of what had been measured", err=True)
+        raise typer.Exit(130)
+    if over:
+        raise typer.Exit(OVER_BUDGET)

@@ -31,12 +31,14 @@ def pick_device(name: str) -> torch.device:
     """`auto`, `cpu`, `cuda` or `cuda:1` -> a device that is there.
 
     Raises:
-        UserError: CUDA was asked for and there is none.
+        UserError: there is no such device.
     """
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    if name.startswith("cuda") and not torch.cuda.is_available():
-        raise UserError(f"device '{name}' is not available here", allowed="auto, cpu")
+        return torch.device("cuda" if count else "cpu")
+    known = ["cpu", *(["cuda"] if count else []), *(f"cuda:{index}" for index in range(count))]
+    if name not in known:
+        raise UserError(f"device '{name}' is not available here", allowed=", ".join(["auto", *known]))
     return torch.device(name)
 
 
