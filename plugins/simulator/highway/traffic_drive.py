@@ -7,7 +7,7 @@ import numpy as np
 from me3bev_plugins.simulator.highway.compiled import kernel
 from me3bev_plugins.simulator.highway.town import Floats, Ints
 from me3bev_plugins.simulator.highway.traffic_claims import abreast, gives_way
-from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, LEAD, SPLIT, Record
+from me3bev_plugins.simulator.highway.traffic_records import CROSS, HALF, LARGE, LEAD, MERGE, SPLIT, Record
 from me3bev_plugins.simulator.highway.traffic_state import Board, speed_at
 from me3bev_plugins.simulator.highway.traffic_tables import EASE, Roads
 
@@ -23,6 +23,9 @@ FORESIGHT = 0.6
 """How far ahead on its own lane a driver sees what a bend allows, seconds."""
 CURB_GAP = 2.0
 """What is left free before pedestrians, metres."""
+ZIP, UNHURRIED = 70.0, 1.5
+"""Where two lanes become one outside junctions drivers make room for one another from so far before, metres, gently
+until they are so many seconds from where the lanes meet."""
 
 
 @kernel
@@ -164,8 +167,11 @@ def _meet_zones(roads: Roads, board: Board, car: Record, lane: int, start: float
             zone = roads.zones[z]
             if start + zone.a1 + own < 0.0:
                 continue
-            if gated and zone.kind == LEAD and zone.joint != SPLIT and start + zone.a0 > own:
-                accel = min(accel, _file_in(roads, board, car, zone, start, i, free, size))
+            if zone.kind == LEAD and zone.joint != SPLIT and start + zone.a0 > own:
+                if gated:
+                    accel = min(accel, _file_in(roads, board, car, zone, start, i, free, size))
+                elif zone.joint == MERGE:
+                    accel = min(accel, _zip_in(roads, board, car, zone, start, i, free, size))
             k = board.heads[zone.other]
             while k >= 0:
                 entry = board.entries[k]
@@ -206,6 +212,31 @@ def _file_in(
         if distance > 0.0 or (distance == 0.0 and user.vehicle < i):
             lengths = 0.5 * car.length + user.half
             accel = min(accel, follow(roads.idm, free, car.speed, user.speed, distance, lengths))
+    return accel
+
+
+@kernel
+def _zip_in(
+    roads: Roads, board: Board, car: Record, zone: Record, start: float, i: int, free: float, size: int
+) -> float:
+    """Acceleration behind those who will be first where two lanes that need no grant become one."""
+    accel = free
+    metres = start + zone.a0 - 0.5 * car.length + HALF[car.size]
+    if metres > ZIP:
+        return accel
+    least = -GENTLE if metres > UNHURRIED * car.speed else -HARDEST
+    k = board.heads[zone.other]
+    while k >= 0:
+        entry = board.entries[k]
+        k = entry.next
+        over = entry.half - HALF[size]
+        if entry.vehicle == i or int(entry.half > LARGE) != size or not -ZIP < entry.s - zone.b0 + over < 0.0:
+            continue
+        distance = start + abreast(zone, entry.s)
+        if distance > 0.0 or (distance == 0.0 and entry.vehicle < i):
+            lengths = 0.5 * car.length + entry.half
+            value = follow(roads.idm, free, car.speed, entry.speed, distance, lengths)
+            accel = min(accel, max(value, least))
     return accel
 
 
