@@ -67,7 +67,9 @@ def check_plugin(
     from me3bev_cli import testing_models as models
 
     if kind == "spatial":
-        models.check_spatial(cls, ready, rig or small_rig(), seed)
+        from me3bev_cli.testing_spatial import check_spatial
+
+        check_spatial(cls, ready, rig or small_rig(), seed)
     elif kind == "temporal":
         models.check_temporal(cls, ready, width, seed)
     else:

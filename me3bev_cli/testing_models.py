@@ -1,4 +1,4 @@
-"""Checks of the plugins that are torch modules: spatial, temporal and fusion."""
+"""Checks of the plugins that are torch modules: what holds for all of them, temporal and fusion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from me3bev_cli.api import PluginConfig, Rig, TokenSpec
+from me3bev_cli.api import PluginConfig
 from me3bev_cli.testing import broken, require
 
 TOLERANCE = 1e-5
@@ -96,33 +96,6 @@ def _check_gradients(cls: type, module: nn.Module, run: Callable[[nn.Module], Ou
             finite = parameter.grad is not None and bool(parameter.grad.isfinite().all())
             require(cls, finite, "gradients are finite", f"not those of {name}")
     module.zero_grad()
-
-
-def check_spatial(cls: Any, config: PluginConfig, rig: Rig, seed: int) -> None:
-    """Shapes as promised, frames independent of each other."""
-    spec = cls.output_spec(config, rig)
-    require(cls, isinstance(spec, TokenSpec), "output_spec gives a TokenSpec", repr(spec))
-    height, width = rig.image_size
-    images = seeded(seed, lambda: torch.randn(3, len(rig.cameras), 3, height, width))
-
-    def run(module: nn.Module, frames: Tensor = images) -> Outputs:
-        output = module(frames)._asdict()
-        return {name: value for name, value in output.items() if value is not None}
-
-    module = check_module(cls, lambda: cls(config, rig), run, seed)
-    with torch.no_grad():
-        outputs = run(module)
-        shape = tuple(outputs["tokens"].shape)
-        promised = (3, spec.total, spec.width)
-        require(cls, shape == promised, f"the tokens' shape is {promised}, as output_spec says", shape)
-        for name, axes in (("grid", 4), ("depth_logits", 5)):
-            if name in outputs:
-                given = tuple(outputs[name].shape)
-                require(cls, len(given) == axes and given[0] == 3, f"{name} has {axes} axes, frames first", given)
-        for frame in range(3):
-            alone = run(module, images[frame : frame + 1])
-            among = {name: value[frame : frame + 1] for name, value in outputs.items()}
-            require_equal(cls, "a frame's output does not depend on the others in the batch", alone, among, 1e-4)
 
 
 def check_fusion(cls: Any, config: PluginConfig, widths: Mapping[str, int], seed: int) -> None:

@@ -20,7 +20,15 @@ from __future__ import annotations
 
 from me3bev_cli.api.base import GROUPS, NoConfig, PluginConfig
 from me3bev_cli.api.camera import CAMERA_NAMES, Camera, Matrix, ObservationConfig, Rig
-from me3bev_cli.api.network import FusionPlugin, SpatialOutput, SpatialPlugin, State, TemporalPlugin, TokenSpec
+from me3bev_cli.api.network import (
+    Calibration,
+    FusionPlugin,
+    SpatialOutput,
+    SpatialPlugin,
+    State,
+    TemporalPlugin,
+    TokenSpec,
+)
 from me3bev_cli.api.simulator import (
     BEV_CLASSES,
     LIGHT_STATES,
@@ -42,6 +50,7 @@ __all__ = [
     "NAVIGATION_WIDTH",
     "ROAD_WIDTH",
     "VEHICLE_WIDTH",
+    "Calibration",
     "Camera",
     "FactRow",
     "FusionPlugin",

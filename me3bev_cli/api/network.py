@@ -36,8 +36,21 @@ class SpatialOutput(NamedTuple):
     """(N, C, bins, h, w) before the softmax over bins; None if depth is not predicted."""
 
 
+class Calibration(NamedTuple):
+    """Calibration per frame, where it differs from the rig's: jittered, or of several vehicles."""
+
+    intrinsics: Tensor
+    """(N, C, 3, 3), camera frame -> pixels, as `Camera.intrinsics`."""
+    extrinsics: Tensor
+    """(N, C, 4, 4), camera frame -> ego frame, as `Camera.camera_to_ego`."""
+
+
 class SpatialPlugin(Protocol):
-    """Images of one time step to h_BEV (eq. 4). Frames are independent: no state, no mixing over N."""
+    """Images of one time step to h_BEV (eq. 4). Frames are independent: no state, no mixing over N.
+
+    `forward` may take a second, optional argument `calibration: Calibration | None = None`, on the images' device;
+    without it the calibration is the rig's. A plugin whose `forward` has no such argument cannot be given one.
+    """
 
     Config: ClassVar[type[PluginConfig]]
 

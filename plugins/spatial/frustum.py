@@ -58,7 +58,7 @@ def feature_size(height: int, width: int, stride: int) -> tuple[int, int]:
 
 
 def frustum(intrinsics: Tensor, extrinsics: Tensor, features: tuple[int, int], stride: int, depths: Tensor) -> Tensor:
-    """Ego coordinates of every feature cell at every depth: (C, D, h, w, 3), metres.
+    """Ego coordinates of every feature cell at every depth: (C, D, h, w, 3), metres, on the calibration's device.
 
     Args:
         intrinsics, extrinsics: (C, 3, 3) and (C, 4, 4).
@@ -67,14 +67,21 @@ def frustum(intrinsics: Tensor, extrinsics: Tensor, features: tuple[int, int], s
         depths: (D,), metres along the optical axis.
     """
     h, w = features
-    v = (torch.arange(h, dtype=torch.float64) + 0.5) * stride
-    u = (torch.arange(w, dtype=torch.float64) + 0.5) * stride
+    device = intrinsics.device
+    v = (torch.arange(h, dtype=torch.float64, device=device) + 0.5) * stride
+    u = (torch.arange(w, dtype=torch.float64, device=device) + 0.5) * stride
     v, u = torch.meshgrid(v, u, indexing="ij")
     pixels = torch.stack([u, v, torch.ones_like(u)], dim=-1)
     rays = torch.einsum("cij,hwj->chwi", torch.linalg.inv(intrinsics), pixels)
-    points = depths[None, :, None, None, None] * rays[:, None]
+    points = depths.to(device)[None, :, None, None, None] * rays[:, None]
     turned = torch.einsum("cij,cdhwj->cdhwi", extrinsics[:, :3, :3], points)
     return turned + extrinsics[:, None, None, None, :3, 3]
+
+
+def frame_cells(cells: Tensor, frames: int, count: int) -> Tensor:
+    """Cells (N * C, ...), each of its frame's grid of `count` cells -> of the N grids one after another; -1 stays."""
+    shift = count * torch.arange(frames, device=cells.device).repeat_interleave(len(cells) // frames)
+    return torch.where(cells >= 0, cells + shift.view(-1, *(1 for _ in cells.shape[1:])), -1)
 
 
 def cells_of(points: Tensor, grid: Grid) -> Tensor:

@@ -27,15 +27,30 @@ class GroundIndex(NamedTuple):
 
 
 def ground_index(rig: Rig, grid: Grid, samples: int) -> GroundIndex:
+    """Find the ground in the images of a rig; see `find_ground`."""
+    intrinsics, extrinsics = calibration(rig)
+    return find_ground(intrinsics, extrinsics, ranks(rig), rig.image_size, grid, samples)
+
+
+def find_ground(
+    intrinsics: Tensor, extrinsics: Tensor, order: Tensor, image_size: tuple[int, int], grid: Grid, samples: int
+) -> GroundIndex:
     """Find the ground in the images.
 
     Every cell has samples x samples points, which follow each other. A point that several cameras see is taken
     from the one nearest whose optical axis it lies.
+
+    Args:
+        intrinsics, extrinsics: (C, 3, 3) and (C, 4, 4) of one frame, float64.
+        order: from `ranks`.
+        image_size: (H, W), pixels.
+        grid: whose cells are looked for.
+        samples: ground points per cell and axis.
     """
     points = grid.centres(samples).view(grid.rows, samples, grid.columns, samples, 2)
-    points = points.transpose(1, 2).reshape(-1, 2)
-    camera, u, v, seen = _seen_by(rig, points)
-    height, width = rig.image_size
+    points = points.transpose(1, 2).reshape(-1, 2).to(intrinsics.device)
+    camera, u, v, seen = _seen_by(intrinsics, extrinsics, order, image_size, points)
+    height, width = image_size
     # Centres of pixels lie at halves; at the border the outermost pixel is held.
     u = (u - 0.5).clamp(0, width - 1)
     v = (v - 0.5).clamp(0, height - 1)
@@ -45,18 +60,20 @@ def ground_index(rig: Rig, grid: Grid, samples: int) -> GroundIndex:
     pixel = torch.stack([corner, corner + 1, corner + width, corner + width + 1], dim=1)
     across = torch.stack([1 - right_share, right_share], dim=1)
     weight = torch.cat([across * (1 - low_share)[:, None], across * low_share[:, None]], dim=1)
+    # Numbers up to four pixels per ground point: int32 holds them and is half as much to read.
     return GroundIndex(
-        pixel=pixel[seen].flatten(),
+        pixel=pixel[seen].flatten().int(),
         weight=weight[seen].flatten().float(),
-        offsets=4 * (seen.cumsum(0) - seen.long()),
+        offsets=(4 * (seen.cumsum(0) - seen.long())).int(),
         seen=seen.view(-1, samples**2).float().mean(1, keepdim=True),
     )
 
 
-def _seen_by(rig: Rig, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _seen_by(
+    intrinsics: Tensor, extrinsics: Tensor, order: Tensor, image_size: tuple[int, int], points: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """For ground points (S, 2): the camera that sees each best, the pixel position there, and whether any does."""
-    intrinsics, extrinsics = calibration(rig)
-    height, width = rig.image_size
+    height, width = image_size
     ground = F.pad(points, (0, 1))
     ground = torch.cat([ground, torch.ones_like(ground[:, :1])], dim=1)
     seen_from = torch.einsum("cij,sj->csi", torch.linalg.inv(extrinsics), ground)[..., :3]
@@ -64,13 +81,13 @@ def _seen_by(rig: Rig, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     position = torch.einsum("cij,csj->csi", intrinsics, seen_from)[..., :2] / depth.clamp(min=1e-6).unsqueeze(-1)
     u, v = position.unbind(-1)
     seen = (depth > 0.1) & (u >= 0) & (u <= width) & (v >= 0) & (v <= height)
-    score = torch.where(seen, depth / seen_from.norm(dim=-1), -1.0) - 1e-9 * _ranks(rig)[:, None]
+    score = torch.where(seen, depth / seen_from.norm(dim=-1), -1.0) - 1e-9 * order[:, None]
     best = score.argmax(0)
-    chosen = best, torch.arange(len(points))
+    chosen = best, torch.arange(len(points), device=best.device)
     return best, u[chosen], v[chosen], seen.any(0)
 
 
-def _ranks(rig: Rig) -> Tensor:
+def ranks(rig: Rig) -> Tensor:
     """A place for each camera that does not depend on its place in the rig: ties go to the same one."""
     keys = [(camera.yaw, camera.pitch, camera.position, camera.name) for camera in rig.cameras]
     order = sorted(keys)
@@ -88,6 +105,6 @@ def warp(pixels: Tensor, index: GroundIndex) -> Tensor:
         (N, V, 3 * samples^2 + 1): the colours of each cell's points, and the share of them that is seen.
     """
     weight = index.weight.to(pixels.dtype)
-    points = torch.stack([weighted_bags(frame, weight, index.pixel, index.offsets) for frame in pixels])
-    cells = points.view(len(pixels), len(index.seen), -1)
+    points = [weighted_bags(frame, weight, index.pixel, index.offsets) for frame in pixels]
+    cells = torch.cat([frame.view(1, len(index.seen), -1) for frame in points])
     return torch.cat([cells, index.seen.to(cells.dtype).expand(len(pixels), -1, -1)], dim=2)

@@ -8,10 +8,12 @@ import torch
 from pydantic import Field, PositiveInt, model_validator
 from torch import Tensor, nn
 
-from me3bev_cli.api import PluginConfig, Rig, SpatialOutput, TokenSpec
+from me3bev_cli.api import Calibration, Rig, SpatialOutput, TokenSpec
 from me3bev_plugins.spatial.bev_trunk import BEVTrunk
-from me3bev_plugins.spatial.frustum import Grid, calibration, cells_of, depth_edges, feature_size, frustum
-from me3bev_plugins.spatial.ground import GroundIndex, ground_index, warp
+from me3bev_plugins.spatial.frustum import Grid, cells_of, depth_edges, feature_size, frame_cells, frustum
+from me3bev_plugins.spatial.frustum import calibration as rig_calibration
+from me3bev_plugins.spatial.ground import GroundIndex, find_ground, ground_index, ranks, warp
+from me3bev_plugins.spatial.precision import ComputeConfig, computing, laid_out, unhalved
 from me3bev_plugins.spatial.splat import SplatIndex, build_index, splat
 from me3bev_plugins.spatial.trunks import Trunk, check_trunk
 
@@ -25,20 +27,25 @@ class LiftSplat(nn.Module):
     a context vector (eq. 9); the depth-weighted context is summed into the ego-frame grid (eq. 10); a residual
     trunk on the grid gives the feature map and h_BEV (eq. 4).
 
+    The rig's calibration is fixed: where its points lie is found once. Calibration per frame takes the same path over
+    tables that are made anew at each call.
+
     `depth_edges` (bins + 1,) holds the borders of the depth bins, metres along the optical axis; a bin's
     features are put at its middle.
     """
 
-    class Config(PluginConfig):
+    class Config(ComputeConfig):
         """Settings of the aggregator; the defaults are the paper's full size."""
 
-        trunk: str = Field(default="efficientnet_b0", description="`tiny` or a torchvision model")
+        trunk: str = Field(
+            default="efficientnet_b0", description="`tiny`, a torchvision model, or `timm:` and a model of timm"
+        )
         stride: PositiveInt = Field(default=16, description="image pixels per feature cell")
         neck: PositiveInt | None = Field(
             default=128, description="width of the neck that adds the next coarser level; null for none"
         )
         pretrained: bool | str = Field(
-            default=False, description="torchvision's weights (true) or a file of weights for the trunk"
+            default=False, description="published weights (true) or a file of weights for the trunk"
         )
         depth_range: Range = Field(default=(4.0, 45.0), description="metres along the optical axis")
         depth_bins: PositiveInt = Field(default=41, description="bins of equal length in depth_range")
@@ -82,7 +89,7 @@ class LiftSplat(nn.Module):
     def __init__(self, config: Config, rig: Rig) -> None:
         super().__init__()
         self.output_spec(config, rig)
-        self.config, self.grid = config, config.grid()
+        self.config, self.rig, self.grid = config, rig, config.grid()
         self.trunk = Trunk(config.trunk, config.stride, config.pretrained, config.neck)
         self.head = nn.Conv2d(self.trunk.channels, config.depth_bins + config.channels, 1)
         ground = 3 * config.ground_samples**2 + 1 if config.ground_plane else 0
@@ -90,7 +97,7 @@ class LiftSplat(nn.Module):
         self.bev_trunk = BEVTrunk(config.channels + ground, config.bev_channels, config.bev_blocks, tokens)
         edges = depth_edges(*config.depth_range, config.depth_bins)
         self.register_buffer("depth_edges", edges.float(), persistent=False)
-        self._set_calibration(rig, edges)
+        self._keep_tables()
 
     @classmethod
     def output_spec(cls, config: Config, rig: Rig) -> TokenSpec:
@@ -114,40 +121,99 @@ class LiftSplat(nn.Module):
             )
         return TokenSpec(config.token_rows, config.token_columns, config.token_width)
 
-    def _set_calibration(self, rig: Rig, edges: Tensor) -> None:
+    def _keep_tables(self) -> None:
         """Find each point's cell once; the tables follow the module across devices and stay out of its state."""
-        config = self.config
-        size = feature_size(*rig.image_size, config.stride)
-        middles = (edges[1:] + edges[:-1]) / 2
-        cells = cells_of(frustum(*calibration(rig), size, config.stride, middles), self.grid)
-        index = build_index(cells, self.grid.rows * self.grid.columns)
-        for name, table in index._asdict().items():
+        for name, table in self._splat_index(None)._asdict().items():
             self.register_buffer(f"splat_{name}", table, persistent=False)
-        if config.ground_plane:
-            for name, table in ground_index(rig, self.grid, config.ground_samples)._asdict().items():
+        if self.config.ground_plane:
+            for name, table in ground_index(self.rig, self.grid, self.config.ground_samples)._asdict().items():
                 self.register_buffer(f"ground_{name}", table, persistent=False)
 
-    def forward(self, images: Tensor) -> SpatialOutput:
-        """Images (N, C, 3, H, W), ImageNet-normalised -> tokens, depth, and the feature map (half the grid's cells)."""
-        count, config = len(images), self.config
-        # Channels innermost suits the convolutions and makes every pixel a row that can be gathered.
-        images = images.flatten(0, 1).contiguous(memory_format=torch.channels_last)
-        lifted = self.head(self.trunk(images))
-        logits, context = lifted.split([config.depth_bins, config.channels], dim=1)
-        cells = self._pool(logits.unflatten(0, (count, -1)), context)
-        if config.ground_plane:
-            index = GroundIndex(*(self.get_buffer(f"ground_{name}") for name in GroundIndex._fields))
-            pixels = images.permute(0, 2, 3, 1).reshape(count, -1, 3)
-            cells = torch.cat([cells, warp(pixels.to(cells.dtype), index)], dim=2)
-        bev = cells.view(count, self.grid.rows, self.grid.columns, -1).permute(0, 3, 1, 2)
-        tokens, grid = self.bev_trunk(bev)
-        return SpatialOutput(tokens, grid, logits.unflatten(0, (count, -1)))
+    def point_cells(self, calibration: Calibration | None = None) -> Tensor:
+        """The flat grid cell of every (camera, depth bin, feature cell), -1 outside: (N * C, D, h, w).
 
-    def _pool(self, logits: Tensor, context: Tensor) -> Tensor:
-        """Logits (N, C, D, h, w) and context (N * C, channels, h, w) to cells (N, X * Y, channels)."""
-        index = SplatIndex(*(self.get_buffer(f"splat_{name}") for name in SplatIndex._fields))
-        with torch.autocast(logits.device.type, enabled=False):
+        N is 1, and the tensor on the CPU, for the rig's own calibration.
+        """
+        config = self.config
+        if calibration is None:
+            intrinsics, extrinsics = rig_calibration(self.rig)
+        else:
+            intrinsics, extrinsics = (part.detach().double().flatten(0, 1) for part in calibration)
+        edges = depth_edges(*config.depth_range, config.depth_bins)
+        size = feature_size(*self.rig.image_size, config.stride)
+        points = frustum(intrinsics, extrinsics, size, config.stride, (edges[1:] + edges[:-1]) / 2)
+        return cells_of(points, self.grid)
+
+    def _splat_index(self, calibration: Calibration | None) -> SplatIndex:
+        """Of the rig, or of N frames whose grids follow each other."""
+        frames = 1 if calibration is None else len(calibration.intrinsics)
+        count = self.grid.rows * self.grid.columns
+        return build_index(frame_cells(self.point_cells(calibration), frames, count), frames * count)
+
+    def forward(self, images: Tensor, calibration: Calibration | None = None) -> SpatialOutput:
+        """Images to tokens, depth, and the feature map (half the grid's cells), all in the images' type.
+
+        Args:
+            images: (N, C, 3, H, W), ImageNet-normalised.
+            calibration: of each frame, on the images' device; None for the rig's.
+        """
+        count, config = len(images), self.config
+        self._check(images, calibration)
+        flat = laid_out(images.flatten(0, 1), config.channels_last)
+        with computing(config.precision, images.device):
+            lifted = self.head(self.trunk(flat))
+            logits, context = lifted.unflatten(0, (count, -1)).split([config.depth_bins, config.channels], dim=2)
             wide = torch.promote_types(logits.dtype, torch.float32)
-            probability = logits.to(wide).softmax(2).flatten(1)
-            vectors = context.to(wide).permute(0, 2, 3, 1).reshape(len(logits), -1, self.config.channels)
-            return splat(probability, vectors, index)
+            cells = self.pool(logits.to(wide).softmax(2), context, calibration)
+            if config.ground_plane:
+                cells = torch.cat([cells, self._ground(flat.to(cells.dtype), calibration)], dim=2)
+            bev = cells.view(count, self.grid.rows, self.grid.columns, -1).permute(0, 3, 1, 2)
+            tokens, grid = self.bev_trunk(laid_out(bev, config.channels_last))
+        return SpatialOutput(*(part.to(images.dtype) for part in (tokens, grid, logits)))
+
+    def pool(self, probability: Tensor, context: Tensor, calibration: Calibration | None = None) -> Tensor:
+        """The splat (eq. 10): depth-weighted context summed into the grid, in float32 or wider.
+
+        Args:
+            probability: (N, C, D, h, w), each feature cell's distribution over depth.
+            context: (N, C, channels, h, w).
+            calibration: of each frame; None for the rig's.
+
+        Returns:
+            (N, X * Y, channels).
+        """
+        count, channels = len(context), context.shape[2]
+        with unhalved(context.device):
+            vectors = context.to(probability.dtype).permute(0, 1, 3, 4, 2)
+            if calibration is None:
+                index = SplatIndex(*(self.get_buffer(f"splat_{name}") for name in SplatIndex._fields))
+                return splat(probability.flatten(1), vectors.reshape(count, -1, channels), index)
+            # One large frame whose cameras are those of all frames.
+            index = self._splat_index(calibration)
+            cells = splat(probability.reshape(1, -1), vectors.reshape(1, -1, channels), index)
+            return cells.view(count, -1, channels)
+
+    def _ground(self, images: Tensor, calibration: Calibration | None) -> Tensor:
+        """Images (N * C, 3, H, W) warped to the ground: (N, X * Y, 3 * samples^2 + 1)."""
+        pixels = images.permute(0, 2, 3, 1).reshape(len(images) // len(self.rig.cameras), -1, 3)
+        if calibration is None:
+            return warp(pixels, GroundIndex(*(self.get_buffer(f"ground_{name}") for name in GroundIndex._fields)))
+        # Frame by frame: the search holds every ground point in every camera's frame.
+        order, size, samples = ranks(self.rig).to(images.device), self.rig.image_size, self.config.ground_samples
+        intrinsics, extrinsics = (part.detach().double() for part in calibration)
+        views = [
+            warp(frame[None], find_ground(k, e, order, size, self.grid, samples))
+            for frame, k, e in zip(pixels, intrinsics, extrinsics, strict=True)
+        ]
+        return torch.cat(views)
+
+    def _check(self, images: Tensor, calibration: Calibration | None) -> None:
+        """Shapes that would otherwise be gathered from wrongly, without an error."""
+        cameras = len(self.rig.cameras)
+        expected = (len(images), cameras, 3, *self.rig.image_size)
+        if tuple(images.shape) != expected:
+            raise ValueError(f"images of shape {tuple(images.shape)}; this rig gives {('N', *expected[1:])}")
+        for name, part, side in zip(Calibration._fields, calibration or (), (3, 4), strict=False):
+            if tuple(part.shape) != (len(images), cameras, side, side):
+                wanted = (len(images), cameras, side, side)
+                raise ValueError(f"{name} of shape {tuple(part.shape)}; these images need {wanted}")

@@ -18,6 +18,7 @@ from torch.autograd.function import once_differentiable
 
 _BLOCK = 1 << 12
 """Points whose features are gathered at once where no fused kernel exists."""
+_INT32 = 1 << 31
 
 
 class SplatIndex(NamedTuple):
@@ -45,6 +46,9 @@ def build_index(cells: Tensor, count: int) -> SplatIndex:
     Args:
         cells: (C, D, h, w), the flat cell of each point, -1 for none.
         count: number of cells, V.
+
+    Returns:
+        The index as int32 where the numbers allow it: half the memory to read at each frame.
     """
     cameras, bins, h, w = cells.shape
     flat = cells.reshape(-1)
@@ -53,7 +57,7 @@ def build_index(cells: Tensor, count: int) -> SplatIndex:
     pixel = camera * (h * w) + pixel
     cell = flat[entry]
     by_cell, by_pixel = cell.argsort(stable=True), pixel.argsort(stable=True)
-    return SplatIndex(
+    index = SplatIndex(
         entry=entry[by_cell],
         pixel=pixel[by_cell],
         cell=cell[by_cell],
@@ -62,10 +66,16 @@ def build_index(cells: Tensor, count: int) -> SplatIndex:
         cell_by_pixel=cell[by_pixel],
         pixel_offsets=_offsets(pixel, cameras * h * w),
     )
+    kind = _kind(max(len(flat), count))
+    return SplatIndex(*(table.to(kind) for table in index))
 
 
 def _offsets(keys: Tensor, count: int) -> Tensor:
     return torch.bincount(keys, minlength=count).cumsum(0) - torch.bincount(keys, minlength=count)
+
+
+def _kind(numbers: int) -> torch.dtype:
+    return torch.int32 if numbers < _INT32 else torch.int64
 
 
 def splat(probability: Tensor, context: Tensor, index: SplatIndex) -> Tensor:
@@ -74,7 +84,7 @@ def splat(probability: Tensor, context: Tensor, index: SplatIndex) -> Tensor:
     Args:
         probability: (N, C * D * h * w), each pixel's distribution over depth.
         context: (N, C * h * w, channels).
-        index: from `build_index`.
+        index: from `build_index`; one for all frames.
 
     Returns:
         (N, V, channels), differentiable in both.
@@ -84,30 +94,49 @@ def splat(probability: Tensor, context: Tensor, index: SplatIndex) -> Tensor:
 
 
 class _Splat(torch.autograd.Function):
+    """All frames in one gather: their context vectors, cells and points follow each other."""
+
     @staticmethod
     def forward(ctx: Any, probability: Tensor, context: Tensor, *parts: Tensor) -> Tensor:
         index = SplatIndex(*parts)
         ctx.save_for_backward(probability, context, *parts)
-        grid = context.new_empty(len(context), len(index.cell_offsets), context.shape[-1])
-        for frame, weights in enumerate(probability):
-            grid[frame] = weighted_bags(context[frame], weights[index.entry], index.pixel, index.cell_offsets)
-        return grid
+        frames, pixels, channels = context.shape
+        rows = _per_frame(index.pixel, frames, pixels)
+        offsets = _per_frame(index.cell_offsets, frames, len(index.pixel))
+        weights = probability.index_select(1, index.entry).flatten()
+        return weighted_bags(context.reshape(-1, channels), weights, rows, offsets).view(frames, -1, channels)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        (grad,) = grads
         probability, context, *parts = ctx.saved_tensors
         index = SplatIndex(*parts)
-        grad_probability = torch.zeros_like(probability) if ctx.needs_input_grad[0] else None
-        grad_context = torch.empty_like(context) if ctx.needs_input_grad[1] else None
-        for frame, grad_cells in enumerate(grad.contiguous()):
-            if grad_context is not None:
-                weights = probability[frame][index.entry_by_pixel]
-                grad_context[frame] = weighted_bags(grad_cells, weights, index.cell_by_pixel, index.pixel_offsets)
-            if grad_probability is not None:
-                grad_probability[frame, index.entry] = paired_products(grad_cells, context[frame], index)
+        frames, pixels, channels = context.shape
+        cells, points = len(index.cell_offsets), len(index.pixel)
+        grad = grads[0].reshape(-1, channels)
+        grad_probability = grad_context = None
+        if ctx.needs_input_grad[0]:
+            cell = _per_frame(index.cell, frames, cells)
+            rows = _per_frame(index.pixel, frames, pixels)
+            offsets = _per_frame(index.cell_offsets, frames, points)
+            products = paired_products(grad, context.reshape(-1, channels), rows, offsets, cell)
+            grad_probability = torch.zeros_like(probability)
+            grad_probability.index_copy_(1, index.entry.long(), products.view(frames, points))
+        if ctx.needs_input_grad[1]:
+            weights = probability.index_select(1, index.entry_by_pixel).flatten()
+            rows = _per_frame(index.cell_by_pixel, frames, cells)
+            offsets = _per_frame(index.pixel_offsets, frames, points)
+            grad_context = weighted_bags(grad, weights, rows, offsets).view_as(context)
         return (grad_probability, grad_context, *(None for _ in parts))
+
+
+def _per_frame(table: Tensor, frames: int, step: int) -> Tensor:
+    """A table of numbers below `step` -> the tables of all frames, each `step` above the one before."""
+    if frames == 1:
+        return table
+    kind = torch.promote_types(table.dtype, _kind(frames * step))
+    shift = step * torch.arange(frames, dtype=kind, device=table.device)
+    return (table + shift[:, None]).flatten()
 
 
 def weighted_bags(table: Tensor, weights: Tensor, rows: Tensor, offsets: Tensor) -> Tensor:
@@ -123,19 +152,17 @@ def weighted_bags(table: Tensor, weights: Tensor, rows: Tensor, offsets: Tensor)
     return out
 
 
-def paired_products(grad: Tensor, context: Tensor, index: SplatIndex) -> Tensor:
-    """<grad[cell_m], context[pixel_m]> for every point m: (M,)."""
+def paired_products(grad: Tensor, context: Tensor, pixel: Tensor, offsets: Tensor, cell: Tensor) -> Tensor:
+    """<grad[cell_m], context[pixel_m]> for every point m: (M,); the points are sorted by cell."""
     if fused(context):
-        return torch.ops.aten._embedding_bag_per_sample_weights_backward(
-            grad, context, index.pixel, index.cell_offsets, index.cell, 0, -1
-        )
-    out = context.new_empty(len(index.cell))
+        return torch.ops.aten._embedding_bag_per_sample_weights_backward(grad, context, pixel, offsets, cell, 0, -1)
+    out = context.new_empty(len(cell))
     for part in range(0, len(out), _BLOCK):
         block = slice(part, part + _BLOCK)
-        out[block] = (grad[index.cell[block]] * context[index.pixel[block]]).sum(-1)
+        out[block] = (grad[cell[block]] * context[pixel[block]]).sum(-1)
     return out
 
 
 def fused(table: Tensor) -> bool:
     """Whether torch's embedding_bag takes per-sample weights for this device and type."""
-    return table.device.type in ("cpu", "cuda") and table.dtype in (torch.float32, torch.float64)
+    return table.device.type in ("cpu", "cuda", "meta") and table.dtype in (torch.float32, torch.float64)
