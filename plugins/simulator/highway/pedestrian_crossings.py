@@ -17,6 +17,8 @@ EVERY = 20.0
 """Distance between the places along a strip at which the road is looked across, metres."""
 WIDEST, NARROWEST = 22.0, 5.0
 """Range of the widths of road that are crossed without a crosswalk, metres."""
+CORNER = 15.0
+"""A place to cross as near as this to a junction is at its corner, metres."""
 AWAY = 20.0
 """Nobody crosses beside a crosswalk as near as this, metres."""
 ASIDE, FARTHEST = 0.7, 8.0
@@ -178,10 +180,18 @@ def _pack(lanes: Records, town: Town, crossings: Records, met: list[NDArray]) ->
         mine = [k for k, row in enumerate(rows) if row[2] == c]
         crossing["met0"], crossing["met1"] = len(own_links), len(own_links) + len(mine)
         own_links += mine
+        crossing["corner"] = any(_at_corner(town, lanes, rows[k][0], rows[k][1]) for k in mine)
         signals = sorted({n for k in mine for n in _signals(town, lanes, rows[k][0], rows[k][1])})
         crossing["signal0"], crossing["signal1"] = len(own_signals), len(own_signals) + len(signals)
         own_signals += signals
     return crossings, np.array(own_links, np.int32), np.array(own_signals, np.int32), links
+
+
+def _at_corner(town: Town, lanes: Records, lane: int, s: float) -> bool:
+    """Whether a junction begins, or ends, near arc length `s` of a lane."""
+    here, junction = town.lanes[lane], lanes["junction"]
+    left = any(junction[n] >= 0 for n in here.predecessors) and s < CORNER
+    return left or (any(junction[n] >= 0 for n in here.successors) and here.length - s < CORNER)
 
 
 def _signals(town: Town, lanes: Records, lane: int, s: float) -> set[int]:

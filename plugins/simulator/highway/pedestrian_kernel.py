@@ -14,16 +14,17 @@ from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
 STROLL, APPROACH, WAIT, CROSS = 0, 1, 2, 3
 """Modes of a pedestrian."""
-TEMPTED, BOLD = 0.45, 0.06
-"""Share of those passing a crosswalk, or another place to cross, who do."""
+TEMPTED, AT_CORNER, BOLD = 0.45, 0.15, 0.02
+"""Share of those passing a crosswalk, the corner of a junction without one, or another place to cross, who do."""
 ASKS = 1.0
 """Who waits longer at a crosswalk without a light makes the traffic stop, seconds."""
 GIVES_UP = 25.0
 """Who has waited longer walks on, seconds."""
 TURNS_BACK = 4.0
 """Who cannot go on in the middle of the road for so long goes back, seconds."""
-BODY = 0.3
-"""Half of the room a pedestrian needs, metres."""
+BODY, STRIDE = 0.3, 0.8
+"""Half of the room a pedestrian needs, and how far ahead it must be free: the tails of turning vehicles swing out,
+metres."""
 FORESEEN = 1.5
 """Nobody steps before a vehicle that would be there sooner, seconds."""
 STEP_AHEAD = 2.2
@@ -118,7 +119,7 @@ def _stroll(walks: Walks, person: Record, dt: float) -> None:
         low, high = min(before, person.s), max(before, person.s)
         for n in range(strip.exit0, strip.exit1):
             leave = walks.exits[n]
-            if low < leave.s <= high and draw(person) < (TEMPTED if walks.crossings[leave.crossing].marked else BOLD):
+            if low < leave.s <= high and draw(person) < _temptation(walks.crossings[leave.crossing]):
                 person.crossing, person.mode, person.wait = leave.crossing, APPROACH, 0.0
                 crossing = walks.crossings[leave.crossing]
                 person.way = 1 if leave.side == 0 else -1
@@ -129,6 +130,13 @@ def _stroll(walks: Walks, person: Record, dt: float) -> None:
             _go_on(walks, person)
         x, y, z, _ = stand(walks, person)
     _step_to(person, x, y, z, dt)
+
+
+@kernel
+def _temptation(crossing: Record) -> float:
+    if crossing.marked:
+        return TEMPTED
+    return AT_CORNER if crossing.corner else BOLD
 
 
 @kernel
@@ -244,7 +252,7 @@ def _cross(walks: Walks, person: Record, fleet: Fleet, dt: float) -> None:
 
 @kernel
 def _is_obstructed(person: Record, ux: float, uy: float, fleet: Fleet) -> bool:
-    """Whether the next half metre is taken by a vehicle, or one would be there in a moment."""
+    """Whether the next stride is taken by a vehicle, or one would be there in a moment."""
     for i in range(len(fleet.cars)):
         car = fleet.cars[i]
         dx, dy = person.x - car.x, person.y - car.y
@@ -252,10 +260,12 @@ def _is_obstructed(person: Record, ux: float, uy: float, fleet: Fleet) -> bool:
             continue
         c, s = np.cos(car.heading), np.sin(car.heading)
         ahead, left = dx * c + dy * s, dy * c - dx * s
-        away, sideways = ahead + 0.5 * (ux * c + uy * s), left + 0.5 * (uy * c - ux * s)
+        away, sideways = ahead + STRIDE * (ux * c + uy * s), left + STRIDE * (uy * c - ux * s)
         length, width = 0.5 * car.length + BODY, 0.5 * car.width + BODY
-        if abs(ahead) < length and abs(left) < width:
-            continue  # They have met already: get out of there.
+        if abs(ahead) < length and abs(left) < width:  # It has come too near: only away from it.
+            if max(abs(away) - length, abs(sideways) - width) < max(abs(ahead) - length, abs(left) - width):
+                return True
+            continue
         if abs(away) < length and abs(sideways) < width:
             return True
         gap = ahead - length

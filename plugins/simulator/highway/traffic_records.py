@@ -179,7 +179,8 @@ CROSSING = np.dtype(
         ("s1", "f8"),
         ("strip0", "i4"),
         ("strip1", "i4"),
-        ("marked", "i4"),  # 1: a crosswalk, 0: somewhere along the road
+        ("marked", "i4"),  # 1: a crosswalk
+        ("corner", "i4"),  # 1: beside a junction
         ("met0", "i4"),  # links
         ("met1", "i4"),
         ("signal0", "i4"),

@@ -100,7 +100,8 @@ def stress(
     pairs, queued = np.zeros((count, len(actors)), np.bool_), np.zeros(count, np.bool_)
     still, longest = np.zeros(count), np.zeros(2)
     speed = 0.0
-    marked = traffic._tables.walks.crossings["marked"]
+    crossings = traffic._tables.walks.crossings
+    proper = crossings["marked"] | crossings["corner"]
     crossed = np.zeros(2, np.int64)
     walking = people["mode"] == CROSSING
     steps = round(seconds * 10)
@@ -114,7 +115,7 @@ def stress(
         speed += float(actors.speed[:count].mean()) / steps if count else 0.0
         begun = (people["mode"] == CROSSING) & ~walking
         walking = people["mode"] == CROSSING
-        crossed += np.bincount(marked[people["crossing"][begun]], minlength=2)
+        crossed += np.bincount(proper[people["crossing"][begun]], minlength=2)
     kinds = {Kind(k).name.lower(): int((actors.kind == k).sum()) for k in Kind if k != Kind.PEDESTRIAN}
     return Stress(
         vehicles=count,
@@ -143,7 +144,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="traffic_stress", description=__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--maps", nargs="+", default=list(MAPS), help="built-in names or OpenDRIVE files")
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--seeds", type=int, default=1, help="how many")
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--vehicles", type=int, default=100)
     parser.add_argument("--pedestrians", type=int, default=100)
     options = parser.parse_args(arguments)
@@ -151,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     failed = False
     for name in options.maps:
         town = load_town(name) if name in MAPS else read_town(Path(name), Path(name).stem)
-        for seed in range(options.seeds):
+        for seed in range(options.first_seed, options.first_seed + options.seeds):
             s = stress(town, 60 * options.minutes, seed, options.vehicles, options.pedestrians)
             print(_row(town.name, seed, s), flush=True)
             failed |= bool(s.overlaps or s.hit or s.longest_stand > 90.0)

@@ -133,6 +133,27 @@ def test_nobody_walks_into_the_side_of_a_car() -> None:
         assert not overlap(box(traffic.actors, 0), ego_box(ego))
 
 
+@pytest.mark.parametrize("near", [0.9, 0.4, 0.15])
+def test_who_has_a_car_at_the_elbow_does_not_walk_on_into_it(near: float) -> None:
+    # The tail of a car that turned beside somebody had swung out to within the room that a body needs.
+    crossing = crossing_of(TOWN, False)
+    lane, s, along = first_link(crossing)
+    ego, path = ego_on(TOWN, [lane], s)
+    traffic = staged(TOWN, [])
+    with_person(traffic, crossing, CROSS)
+    traffic._people[0]["along"] = along - ego.width / 2 - 0.28 - near
+    nearest = np.inf
+    for step in range(60):
+        traffic.step(0.1, ego, path)
+        assert not overlap(box(traffic.actors, 0), ego_box(ego))
+        if step == 0:
+            first = float(np.hypot(traffic.actors.x[0] - ego.x, traffic.actors.y[0] - ego.y))
+        nearest = min(nearest, float(np.hypot(traffic.actors.x[0] - ego.x, traffic.actors.y[0] - ego.y)))
+    assert nearest > ego.width / 2 + 0.28
+    if near < 0.3:
+        assert nearest == first
+
+
 def test_nobody_steps_before_a_car_that_could_not_stop() -> None:
     crossing = crossing_of(TOWN, False)
     traffic = staged(TOWN, [])
@@ -205,13 +226,12 @@ def test_a_car_stops_for_somebody_who_lingers_on_the_road_without_a_crosswalk() 
 
 
 @pytest.mark.parametrize("name", ["T3", "T4", "T7"])
-def test_a_share_of_the_crossings_is_away_from_crosswalks_and_none_on_motorways(name: str) -> None:
+def test_few_of_the_crossings_are_away_from_crosswalks_and_none_on_motorways(name: str) -> None:
     town = load_town(name)
     walks, roads = tables(town).walks, tables(town).roads
     for lane in town.lanes:
         met = roads.links["crossing"][roads.lanes["cross0"][lane.id] : roads.lanes["cross1"][lane.id]]
         assert not lane.highway or (walks.crossings["marked"][met] == 1).all()
-    run = stress(town, 120.0, vehicles=50)
-    assert run.elsewhere > 3
-    assert run.crossings > 3
+    run = stress(town, 300.0, vehicles=50)
+    assert 3 < run.elsewhere < 0.2 * run.crossings
     assert run.hit == run.overlaps == 0
