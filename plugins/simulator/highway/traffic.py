@@ -26,7 +26,6 @@ class Traffic:
     """All that moves in a town besides the ego.
 
     Vehicles drive by highway-env's IDM to destinations, one after another, change lanes by its MOBIL to get there and
-    Vehicles drive by highway-env's IDM to destinations, one after another, change lanes by its MOBIL to get there and
     to pass slower ones, obey limits, lights and signs, and take turns at junctions. The ego is one more vehicle to
     them: it is given room wherever its box is, and its right of way.
     Everything is drawn from the generator given to `reset`: the same one makes the same episode, byte by byte.
@@ -69,11 +68,11 @@ class Traffic:
         cars["timer"] = rng.uniform(0.0, float(roads.mobil[3]), vehicles)[index]
         cars["count"] = 1
         self._fleet.path[:count, 0] = lane
-        set_out(roads, self._fleet)
         walks = self._tables.walks
         self._people, looks = draw_people(rng, walks, pedestrians)
         self._board = new_board(len(roads.lanes), count, len(self.town.signals), len(roads.links), len(walks.crossings))
         self.lights = self._board.lights
+        set_out(roads, self._board.queues, self._fleet)
         self._enter_ego(ego, seeds[-1])
         self._make_actors(models.colour[index], looks)
         self._locate_ego(ego, path)
@@ -124,7 +123,7 @@ class Traffic:
         way[: len(ahead)] = ahead
         car["count"] = len(ahead)
         rng = car["rng"]
-        extend(self._tables.roads, car, way)  # Drivers look beyond the end of the route.
+        extend(self._tables.roads, self._board.queues, car, way)  # Drivers look beyond the end of the route.
         car["rng"] = rng
 
     def _make_actors(self, colour: NDArray[np.uint8], looks: Looks) -> None:

@@ -15,6 +15,8 @@ CORRIDOR = 1.1
 """Half of the width beside a lane's centre that the ego must leave free to be no obstacle there, metres."""
 LEVEL = 2.5
 """Difference of height beyond which nothing meets, metres."""
+SLOW, QUEUE = 2.0, 12.0
+"""Those who drive more slowly than this, m/s, are a queue; what each of them costs the next one, seconds."""
 BERTH = 6.5
 """What a vehicle takes up in a queue beside its own length, metres."""
 
@@ -49,10 +51,13 @@ def write_entries(roads: Roads, grid: Grid, fleet: Fleet, board: Board) -> None:
     """Lists of the vehicles on every lane, also where only a nose, a tail or a vehicle changing lanes is there."""
     board.heads[:] = -1
     board.used[0] = 0
+    board.queues[:] = 0.0
     for i in range(len(fleet.cars) - 1):
         car, path, trail = fleet.cars[i], fleet.path[i], fleet.trail[i]
         half = 0.5 * car.length
         put_entry(board, path[0], i, car.s, half, car.speed)
+        if car.speed < SLOW:
+            board.queues[path[0]] += QUEUE
         base = 0.0
         for k in range(TRAIL):
             if car.s + base >= half or trail[k] < 0:

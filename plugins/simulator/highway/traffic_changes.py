@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from me3bev_plugins.simulator.highway.compiled import kernel
-from me3bev_plugins.simulator.highway.traffic_board import put_entry
+from me3bev_plugins.simulator.highway.traffic_board import QUEUE, SLOW, put_entry
 from me3bev_plugins.simulator.highway.traffic_drive import FIRM, follow, free_road
 from me3bev_plugins.simulator.highway.traffic_records import TRAIL, Record
-from me3bev_plugins.simulator.highway.traffic_routes import CHANGE
+from me3bev_plugins.simulator.highway.traffic_routes import CHANGE, time_into
 from me3bev_plugins.simulator.highway.traffic_state import Board, Fleet, draw, extend, sample_at, speed_at, time_left
 from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
@@ -52,14 +52,14 @@ def change_lanes(roads: Roads, fleet: Fleet, board: Board, dt: float) -> None:
 def _try(roads: Roads, fleet: Fleet, board: Board, i: int, target: int) -> bool:
     car, path = fleet.cars[i], fleet.path[i]
     lane, goal = roads.lanes[path[0]], roads.lanes[target]
-    span = max(DURATION * car.speed, LENGTHS * car.length)
+    span = change_span(car)
     half = 0.5 * car.length
     if not (goal.admits & car.admits) or goal.junction >= 0 or car.s + span + half + ROOM > min(lane.stop, lane.length):
         return False
     s, lateral = project(roads, target, car.x, car.y, car.s * goal.length / lane.length)
     if s < max(half, goal.clear) or s + span + half + ROOM > min(goal.stop, goal.length) or abs(lateral) > 5.0:
         return False
-    advice = _by_route(roads, car, path[0], target, lane.length - car.s)
+    advice = _by_route(roads, board, car, path[0], target, s, lane.length - car.s)
     if advice == BARRED:
         return False
     if not _by_others(roads, fleet, board, i, target, s, advice == WANTED, lane.length - car.s):
@@ -72,22 +72,54 @@ def _try(roads: Roads, fleet: Fleet, board: Board, i: int, target: int) -> bool:
     car.count = 1
     for k in range(TRAIL):
         fleet.trail[i, k] = -1
-    extend(roads, car, path)
+    extend(roads, board.queues, car, path)
     put_entry(board, target, i, s, half, car.speed)  # The next one to think of this lane sees it.
     return True
 
 
 @kernel
-def _by_route(roads: Roads, car: Record, lane: int, target: int, metres: float) -> int:
+def _by_route(roads: Roads, board: Board, car: Record, lane: int, target: int, s: float, metres: float) -> int:
     """Whether a vehicle's way asks for a change (WANTED), forbids it (BARRED) or does not care (FREE)."""
     if car.goal < 0:
         return FREE
-    here, there = time_left(roads, car, lane), time_left(roads, car, target)
     if metres > NEAR_END:
-        return FREE if there < np.inf else BARRED
+        return FREE if time_left(roads, car, target) < np.inf else BARRED
+    to_left = roads.lanes[lane].left == target
+    here, there = _cost(roads, board, car, lane, car.s, not to_left), _cost(roads, board, car, target, s, to_left)
     if here - there > 0.99 * CHANGE:
         return WANTED
     return FREE if there - here < 0.5 * CHANGE else BARRED
+
+
+@kernel
+def _cost(roads: Roads, board: Board, car: Record, lane: int, s: float, to_left: bool) -> float:
+    """Seconds to the destination over a lane, or the ones beyond it on one side, with the queues on them."""
+    if time_left(roads, car, lane) == 0.0:
+        return 0.0
+    least, changes = np.inf, 0.0
+    while lane >= 0 and changes < 6.0 * CHANGE:
+        record = roads.lanes[lane]
+        for k in range(record.follow0, record.follow1):
+            following = roads.follow[k]
+            left = time_left(roads, car, following) + time_into(roads.lanes[following])
+            if changes + left < least:
+                least = min(least, changes + left + _queue(board, lane, s))
+        changes += CHANGE
+        lane = record.left if to_left else record.right
+    return least
+
+
+@kernel
+def _queue(board: Board, lane: int, s: float) -> float:
+    """What those who stand on a lane beyond arc length `s` cost, seconds."""
+    seconds = 0.0
+    k = board.heads[lane]
+    while k >= 0:
+        entry = board.entries[k]
+        k = entry.next
+        if entry.s > s and entry.speed < SLOW:
+            seconds += QUEUE
+    return seconds
 
 
 @kernel
@@ -105,6 +137,9 @@ def _by_others(
     if wanted:
         most -= max(0.0, FIRM + most) * (1.0 - metres / NEAR_END)
     leader, follower = _neighbours(board, lane, s, i)
+    ahead, behind = _neighbours(board, here, car.s, i)
+    if not (_leaves_room(board, car, s, leader) and _leaves_room(board, car, car.s, ahead)):
+        return False
     then = _behind(roads, board, car, lane, s, leader)
     if then < most or not _is_clear(board, car, s, leader) or not _is_clear(board, car, s, follower):
         return False
@@ -119,7 +154,6 @@ def _by_others(
         return False
     if wanted:
         return True
-    ahead, behind = _neighbours(board, here, car.s, i)
     if behind >= 0:
         entry = board.entries[behind]
         other = fleet.cars[entry.vehicle]
@@ -150,6 +184,20 @@ def _neighbours(board: Board, lane: int, s: float, i: int) -> tuple[int, int]:
 def _is_clear(board: Board, car: Record, s: float, k: int) -> bool:
     """Whether an entry leaves room for the vehicle beside it."""
     return k < 0 or abs(board.entries[k].s - s) > 0.5 * car.length + board.entries[k].half + ROOM
+
+
+@kernel
+def _leaves_room(board: Board, car: Record, s: float, k: int) -> bool:
+    """Whether the one ahead is no queue that would stop the vehicle across two lanes."""
+    if k < 0 or board.entries[k].speed > SLOW:
+        return True
+    return board.entries[k].s - s - 0.5 * car.length - board.entries[k].half - ROOM > change_span(car)
+
+
+@kernel
+def change_span(car: Record) -> float:
+    """How many metres a change of lanes takes now."""
+    return max(DURATION * car.speed, LENGTHS * car.length)
 
 
 @kernel

@@ -57,12 +57,12 @@ def decide(roads: Roads, fleet: Fleet, board: Board, time: float, dt: float) -> 
 
 
 @kernel
-def move(roads: Roads, fleet: Fleet, dt: float) -> None:
+def move(roads: Roads, fleet: Fleet, board: Board, dt: float) -> None:
     """Move every vehicle by one step, as highway-env does: first the position, then the speed."""
     for i in range(len(fleet.cars) - 1):
         car, path, trail = fleet.cars[i], fleet.path[i], fleet.trail[i]
         metres = car.speed * dt
-        advance(roads, car, path, trail, metres)
+        advance(roads, board.queues, car, path, trail, metres)
         angle = drift(car, metres)
         car.speed = max(0.0, car.speed + car.accel * dt)
         car.still = car.still + dt if car.speed < 0.2 else 0.0
@@ -130,7 +130,7 @@ def step_traffic(
     look_around(roads, grid, plan, fleet, board, time)
     decide(roads, fleet, board, time, dt)
     change_lanes(roads, fleet, board, dt)
-    move(roads, fleet, dt)
+    move(roads, fleet, board, dt)
     mark_crossings(roads, fleet, board)
     step_people(roads, walks, people, fleet, board, dt)
     publish(fleet, people, pose, braking)

@@ -181,12 +181,12 @@ def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line:
     if verdict == NO_ROOM and car.speed < 0.5:
         car.jam += dt
         if car.jam > DETOUR and i < len(fleet.cars) - 1:
-            _take_detour(roads, car, path, gate)
+            _take_detour(roads, board, car, path, gate)
 
 
 @kernel
-def _take_detour(roads: Roads, car: Record, path: Ints, gate: int) -> None:
-    other = choose_next(roads, car, path[gate - 1], path[gate])
+def _take_detour(roads: Roads, board: Board, car: Record, path: Ints, gate: int) -> None:
+    other = choose_next(roads, board.queues, car, path[gate - 1], path[gate])
     car.jam = 0.0
     if other >= 0 and other != path[gate]:
         path[gate] = other

@@ -47,6 +47,7 @@ def plan_routes(town: Town, lanes: Records) -> NDArray[np.float32]:
     begin, end, base = _edges(town, lanes)
     order = np.argsort(end, kind="stable")
     begin, end, base = begin[order], end[order], base[order]
+    roads = np.array([min(_abreast(lanes, i)) for i in range(len(lanes))])
     changes = (lanes["left"][begin] == end) | (lanes["right"][begin] == end)
     start = np.searchsorted(end, np.arange(len(lanes) + 1)).astype(np.int32)
     found = np.full((4, DESTINATIONS, len(lanes)), np.inf, np.float32)
@@ -57,7 +58,7 @@ def plan_routes(town: Town, lanes: Records) -> NDArray[np.float32]:
             continue
         chosen = rng.choice(goals, DESTINATIONS, p=lanes["length"][goals] / lanes["length"][goals].sum())
         for n, goal in enumerate(chosen):
-            taste = rng.uniform(*TASTES, len(lanes))
+            taste = rng.uniform(*TASTES, len(lanes))[roads]  # Lanes abreast differ in their queues only.
             weight = np.where(admitted[begin] & admitted[end], np.where(changes, CHANGE, base * taste[begin]), np.inf)
             times = np.full(len(lanes), np.inf)
             times[[i for i in _abreast(lanes, int(goal)) if admitted[i]]] = 0.0

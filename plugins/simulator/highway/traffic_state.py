@@ -14,6 +14,8 @@ from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
 HORIZON = 150.0
 """How far ahead a vehicle plans its way, metres."""
+SEEN = 0.17
+"""What counts of the queue on the road beyond a junction: part of it is gone by the time one gets there."""
 NOT_NEAR = 30.0
 """Destinations are farther away than this when they are chosen, seconds."""
 
@@ -48,6 +50,8 @@ class Board(NamedTuple):
     """(S,) state of every signal."""
     walkers: Floats
     """(K,) per link: 1 when a pedestrian is, or is about to be, in the way of the lane there, 0.5 when one comes."""
+    queues: Floats
+    """(L,) what those who stand on each lane cost the next one, seconds."""
     asked: Ints
     """(C,) per crossing: 1 when somebody waits to cross."""
     hot: Ints
@@ -80,6 +84,7 @@ def new_board(lanes: int, vehicles: int, signals: int, links: int, crossings: in
         np.zeros(2, np.int32),
         np.zeros(signals, np.int32),
         np.zeros(links),
+        np.zeros(lanes),
         np.zeros(crossings, np.int32),
         np.zeros(crossings, np.int32),
         np.zeros((64, 3)),
@@ -100,8 +105,10 @@ def draw(record: Record) -> float:
 
 
 @kernel
-def choose_next(roads: Roads, car: Record, lane: int, barred: int) -> int:
+def choose_next(roads: Roads, queues: Floats, car: Record, lane: int, barred: int) -> int:
     """The successor of `lane` that admits the vehicle and is nearest to its destination; -1 for none.
+
+    The queue that can be seen on the road beyond counts in part.
 
     It is another one than `barred` if there is one. Without a destination, or where none leads there, the draw
     decides; turning back is then for where there is nothing else.
@@ -112,6 +119,8 @@ def choose_next(roads: Roads, car: Record, lane: int, barred: int) -> int:
         for k in range(record.follow0, record.follow1):
             following = roads.follow[k]
             left = time_left(roads, car, following) + time_into(roads.lanes[following])
+            if roads.lanes[following].junction >= 0 and roads.lanes[following].follow1 > roads.lanes[following].follow0:
+                left += SEEN * queues[roads.follow[roads.lanes[following].follow0]]
             if following != barred and left < best:
                 best, found = left, following
     if found >= 0:
@@ -162,7 +171,7 @@ def _suits(roads: Roads, car: Record, lane: int, barred: int, attempt: int) -> b
 
 
 @kernel
-def extend(roads: Roads, car: Record, path: Ints) -> None:
+def extend(roads: Roads, queues: Floats, car: Record, path: Ints) -> None:
     """Choose lanes until the way ahead is `HORIZON` long or fills the path."""
     length = -car.s
     for k in range(car.count):
@@ -171,7 +180,7 @@ def extend(roads: Roads, car: Record, path: Ints) -> None:
         last = path[car.count - 1]
         if car.goal >= 0 and time_left(roads, car, last) == 0.0:
             choose_goal(roads, car, last)
-        following = choose_next(roads, car, last, -1)
+        following = choose_next(roads, queues, car, last, -1)
         if following < 0:
             return
         path[car.count] = following
@@ -180,17 +189,17 @@ def extend(roads: Roads, car: Record, path: Ints) -> None:
 
 
 @kernel
-def set_out(roads: Roads, fleet: Fleet) -> None:
+def set_out(roads: Roads, queues: Floats, fleet: Fleet) -> None:
     """Give every vehicle but the ego a destination, the first lanes of its way there, and its pose."""
     for i in range(len(fleet.cars) - 1):
         car, path = fleet.cars[i], fleet.path[i]
         choose_goal(roads, car, path[0])
-        extend(roads, car, path)
+        extend(roads, queues, car, path)
         place(roads, car, path, fleet.trail[i])
 
 
 @kernel
-def advance(roads: Roads, car: Record, path: Ints, trail: Ints, metres: float) -> None:
+def advance(roads: Roads, queues: Floats, car: Record, path: Ints, trail: Ints, metres: float) -> None:
     """Move a vehicle along its path."""
     car.s += metres
     while car.s >= roads.lanes[path[0]].length and car.count > 1:
@@ -205,7 +214,7 @@ def advance(roads: Roads, car: Record, path: Ints, trail: Ints, metres: float) -
         car.leaving = -1
     if car.count == 1:
         car.s = min(car.s, roads.lanes[path[0]].length)
-    extend(roads, car, path)
+    extend(roads, queues, car, path)
 
 
 @kernel

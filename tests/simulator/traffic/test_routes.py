@@ -15,7 +15,7 @@ from me3bev_plugins.simulator.highway.maps import load_town
 from me3bev_plugins.simulator.highway.town import Junction, Lane, Town
 from me3bev_plugins.simulator.highway.traffic import Traffic
 from me3bev_plugins.simulator.highway.traffic_parameters import mobil_parameters
-from me3bev_plugins.simulator.highway.traffic_routes import _edges, _spread, plan_routes
+from me3bev_plugins.simulator.highway.traffic_routes import CHANGE, _edges, _spread, plan_routes
 from me3bev_plugins.simulator.highway.traffic_tables import tables
 
 TOWN = build_tiny_town()
@@ -98,6 +98,43 @@ def test_the_lane_that_leads_there_is_taken_in_time(wanted: int, exit: int) -> N
         used |= {int(lane) for lane in traffic._fleet.path[:4, 0]}
     assert exit in used
     assert not used & ({2, 3} - {exit})
+
+
+def test_lanes_abreast_differ_by_a_change_of_lanes_at_most() -> None:
+    town = load_town("T5")
+    roads = tables(town).roads
+    pairs = [(n.id, n.left) for n in town.lanes if n.left is not None and n.length > 200.0 and n.junction is None]
+    a, b = np.array(pairs).T
+    assert len(pairs) > 5
+    assert np.abs(roads.times[0][:, a] - roads.times[0][:, b]).max() <= CHANGE + 1e-3
+
+
+def test_who_comes_to_a_queue_takes_the_lane_without_one() -> None:
+    town = forked()
+    rows = [(0, 392.0 - 9.0 * k, 0.0) for k in range(6)] + [(0, 215.0, 12.0)]
+    for wanted, taken in ((4, 1), (-1, 1)):
+        traffic = staged(town, rows)
+        cars = traffic._fleet.cars
+        times = tables(town).roads.times[0]
+        cars["timer"][6] = 0.0
+        path = ego_on(town, [0], 5.0)[1]
+        for _ in range(40):
+            cars["goal"] = -1 if wanted < 0 else next(n for n in range(len(times)) if times[n, wanted] == 0.0)
+            cars["speed"][:6] = 0.0
+            traffic.step(0.1, FAR_AWAY, path)
+        # The lane beside leads elsewhere only: who wants to go on waits, the others do not.
+        assert int(traffic._fleet.path[6, 0]) == (0 if wanted == 4 else taken)
+
+
+def test_nobody_changes_lanes_where_a_queue_would_stop_it_across_both() -> None:
+    town = forked()
+    for gap, changes in ((20.0, False), (60.0, True)):
+        rows = [(0, 200.0 + gap, 0.0), (0, 200.0, 5.0), (1, 320.0, 0.0)]
+        traffic = staged(town, rows)
+        cars = traffic._fleet.cars
+        cars["timer"][1], cars["goal"] = 0.0, -1
+        traffic.step(0.1, FAR_AWAY, ego_on(town, [0], 5.0)[1])
+        assert (cars["change"][1] > 0.0) == changes
 
 
 def test_parameters_of_changes_are_highway_envs() -> None:
