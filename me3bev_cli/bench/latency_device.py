@@ -107,9 +107,9 @@ def _fill(fixed: torch.Tensor, given: torch.Tensor) -> None:
 
 def graphed(function: Function, example: Sequence[Any]) -> Function:
     """The function as a graph, or as it is where it waits for the device or cannot be recorded."""
+    function(*example)
     mode = torch.cuda.get_sync_debug_mode()
     try:
-        function(*example)
         # A failed recording leaves the stream in a bad state, so what would fail is found out before.
         torch.cuda.set_sync_debug_mode("error")
         function(*example)

@@ -89,6 +89,9 @@ def prepare(
         UserError: a source or the device is not there, or no run has scores.
     """
     place = pick_device(device)
+    if place.type == "cuda":
+        # Streams, graphs and memory statistics are the current device's.
+        torch.cuda.set_device(place)
     skipped: list[str] = []
     if sources or with_scores:
         subjects = named(sources or _evaluated_runs())

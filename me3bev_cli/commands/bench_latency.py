@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,7 +21,7 @@ def bench_latency(
         list[str] | None,
         typer.Argument(
             help="Recipes, or run or checkpoint folders. Default: every pair of installed plugins at full size.",
-            metavar="[RECIPE|RUN]...",
+            metavar="RECIPE|RUN",
         ),
     ] = None,
     context: Annotated[
@@ -60,7 +60,7 @@ def bench_latency(
     if dtype not in ("fp32", "bf16"):
         raise unknown_name("dtype", dtype, ("fp32", "bf16"), where="--dtype")
     lengths = None if context is None else _lengths(context)
-    if budget_ms is not None and budget_ms <= 0:
+    if budget_ms is not None and not budget_ms > 0:
         raise UserError(f"{budget_ms:g} ms is no budget", where="--budget-ms", allowed="milliseconds above 0")
     from me3bev_cli.bench.latency import Effort
     from me3bev_cli.bench.latency_session import prepare, run
@@ -76,8 +76,9 @@ def bench_latency(
     if not outcome.rows:
         typer.echo("me3bev: stopped: nothing has been measured yet", err=True)
         raise typer.Exit(130)
-    written = _write(outcome, json, csv, plot, scores_plot, budget_ms)
-    _print(outcome, json, written)
+    # The tables first: a file that cannot be written costs no measurement.
+    _print(outcome, json)
+    _write(outcome, json, csv, plot, scores_plot, budget_ms)
     _judge(outcome, budget_ms, every=context is not None)
 
 
@@ -92,10 +93,12 @@ def _lengths(text: str) -> list[int]:
 
 def _write(
     outcome: Outcome, json: str | None, csv: Path | None, plot: Path | None, scores_plot: Path, budget_ms: float | None
-) -> list[Path]:
+) -> None:
+    from rich.markup import escape
+
     from me3bev_cli.bench.latency_rows import csv_text
     from me3bev_cli.files import atomic_write_bytes, atomic_write_text
-    from me3bev_cli.output import STDOUT, write_json
+    from me3bev_cli.output import STDOUT, console, write_json
 
     written = []
     if json is not None:
@@ -110,12 +113,11 @@ def _write(
     if outcome.points:
         atomic_write_bytes(scores_plot, outcome.score_picture())
         written.append(scores_plot)
-    return written
+    for path in written:
+        console(json).print(f"wrote {escape(str(path))}", soft_wrap=True)
 
 
-def _print(outcome: Outcome, json: str | None, written: list[Any]) -> None:
-    from rich.markup import escape
-
+def _print(outcome: Outcome, json: str | None) -> None:
     from me3bev_cli.bench.latency_tables import preface, score_tables, tables
     from me3bev_cli.output import console
 
@@ -125,8 +127,6 @@ def _print(outcome: Outcome, json: str | None, written: list[Any]) -> None:
     for headline, table in [*tables(outcome.rows), *score_tables(outcome.points)]:
         place.print(f"\n{headline}", style="bold", markup=False)
         place.print(table)
-    for path in written:
-        place.print(f"wrote {escape(str(path))}", soft_wrap=True)
 
 
 def _judge(outcome: Outcome, budget_ms: float | None, every: bool) -> None:
