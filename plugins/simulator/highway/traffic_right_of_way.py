@@ -21,6 +21,8 @@ from me3bev_plugins.simulator.highway.traffic_tables import Roads
 
 PATIENCE = 10.0
 """After this a waiting vehicle goes before all others, seconds."""
+STARVED = 30.0
+"""After this a waiting vehicle keeps the room beyond the junction for itself, which shorter ones would fill, seconds."""
 DETOUR = 6.0
 """After this without room beyond the junction another way is taken, seconds."""
 LAPSE = 5.0
@@ -179,6 +181,8 @@ def _consider(roads: Roads, fleet: Fleet, board: Board, i: int, gate: int, line:
                 put_user(board, path[k], i, -start, car, 1)
             start += roads.lanes[path[k]].length
     if verdict == NO_ROOM and car.speed < 0.5:
+        if car.wait > STARVED and last + 1 < car.count:
+            board.bound[path[last + 1]] += car.length + BERTH
         car.jam += dt
         if car.jam > DETOUR and i < len(fleet.cars) - 1:
             _take_detour(roads, board, car, path, gate)
