@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
@@ -11,6 +12,8 @@ from pydantic import Field, PositiveInt
 from torch import Tensor, nn
 
 from me3bev_cli.api import PluginConfig
+from me3bev_cli.errors import UserError
+from me3bev_plugins.temporal import native
 from me3bev_plugins.temporal.scan import cleared, scan_step, selective_scan
 
 Memory = dict[str, Tensor]
@@ -41,10 +44,16 @@ class Mamba(nn.Module):
         dt_max: float = Field(default=0.1, gt=0, description="largest step size at the start of training")
         residual: bool = Field(default=True, description="add the input to the output")
         norm: bool = Field(default=True, description="RMS-normalise the input")
+        backend: Literal["auto", "torch", "native"] = Field(
+            default="auto",
+            description="native: kernels compiled for this CPU, in float32; auto: those where they can be had",
+        )
 
     def __init__(self, config: Config, width: int) -> None:
         super().__init__()
         self.check(config, width)
+        if config.backend == "native" and native.kernels() is None:
+            raise UserError("backend 'native' needs numba, which does not load here; give 'auto' or 'torch'")
         self.config, self.width = config, width
         inner, states = config.expand * width, config.d_state
         self.inner = inner
@@ -90,6 +99,8 @@ class Mamba(nn.Module):
 
     def forward(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
         """x (B, T, D), starts (B, T) bool -> y (B, T, D) and the state after the last frame."""
+        if self.config.backend != "torch" and native.suits(x, self.D, state["conv"], state["ssm"]):
+            return self._native(x, state, starts)
         normed = self.norm(x.to(self.D.dtype))
         if x.shape[1] == 1 and not torch.is_grad_enabled():
             y, state = self._step(normed[:, 0], state, starts[:, 0])
@@ -97,6 +108,29 @@ class Mamba(nn.Module):
         else:
             y, state = self._sequence(normed, state, starts)
         return (x + y if self.config.residual else y), state
+
+    def _native(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
+        """The same on native kernels."""
+        weights = self._weights()
+        if x.shape[1] == 1 and x.shape[0] <= native.STEP_ROWS and not torch.is_grad_enabled():
+            plan = native.plan(self, self.norm.weight if self.config.norm else None, weights)
+            if plan is not None:
+                y, conv, ssm = native.step(plan, x, state["conv"], state["ssm"], starts)
+                return y, {"conv": conv, "ssm": ssm}
+        y, conv, ssm = native.sequence(weights, self.norm(x), state["conv"], state["ssm"], starts)
+        return (x + y if self.config.residual else y), {"conv": conv, "ssm": ssm}
+
+    def _weights(self) -> native.Weights:
+        # Looked up in the dicts, since asking the modules for ten attributes takes as long as half a step.
+        projection, conv, selection, step, out = (
+            self._modules[name]._parameters  # type: ignore[union-attr]
+            for name in ("in_proj", "conv1d", "x_proj", "dt_proj", "out_proj")
+        )
+        own = self._parameters
+        return native.Weights(
+            projection["weight"], conv["weight"], conv["bias"], selection["weight"], step["weight"], step["bias"],
+            own["A_log"], own["D"], out["weight"],
+        )  # type: ignore[arg-type]  # fmt: skip
 
     def _sequence(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
         inner, gate = self.in_proj(x).chunk(2, dim=-1)
@@ -106,7 +140,7 @@ class Mamba(nn.Module):
         step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
         delta = F.softplus(self.dt_proj(step))
         A = -torch.exp(self.A_log.T.contiguous())
-        with torch.autocast(x.device.type, enabled=False):
+        with _full_precision(x.device.type):
             dtype = self.A_log.dtype
             y, ssm = selective_scan(inner.to(dtype), delta.to(dtype), A, B.to(dtype), C.to(dtype), state["ssm"], starts)
         y = (y + self.D * inner) * F.silu(gate)
@@ -122,11 +156,16 @@ class Mamba(nn.Module):
         step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
         delta = F.softplus(self.dt_proj(step))
         A = torch.exp(self.A_log.T.contiguous()).neg_()
-        with torch.autocast(x.device.type, enabled=False):
+        with _full_precision(x.device.type):
             dtype = A.dtype
             y, ssm = scan_step(inner.to(dtype), delta.to(dtype), A, B.to(dtype), C.to(dtype), state["ssm"], starts)
         y = torch.addcmul(y, self.D, inner).mul_(F.silu(gate))
         return self.out_proj(y), {"conv": taps[:, 1:], "ssm": ssm}
+
+
+def _full_precision(device: str) -> AbstractContextManager[Any]:
+    """Without autocast, on devices that have it."""
+    return torch.autocast(device, enabled=False) if torch.amp.is_autocast_available(device) else nullcontext()
 
 
 class _Kernel(nn.Module):

@@ -17,6 +17,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from me3bev_plugins.temporal import cuda_scan
+
 _CHUNK_ELEMENTS = 1 << 18
 """Elements of one (T, rows, N, E) work tensor on a CPU: small enough for the cache, large enough for few calls."""
 
@@ -49,6 +51,8 @@ def selective_scan(
         y (B, T, E) and the state after the last frame (B, N, E). Differentiable in all but `starts`.
     """
     state = cleared(state, starts[:, 0])
+    if cuda_scan.suits(x, starts):
+        return cuda_scan.fused_scan(x, delta, A, B, C, state)
     y, last = _Scan.apply(x, delta, A, B, C, state, starts)
     return y, last
 

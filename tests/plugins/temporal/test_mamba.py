@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 import torch.nn.functional as F
+from naive_mamba import recurrence
 from torch import Tensor
 
 from me3bev_plugins.temporal import scan
@@ -14,39 +15,9 @@ from me3bev_plugins.temporal.mamba import Mamba
 
 
 def reference(module: Mamba, x: Tensor, state: dict[str, Tensor], starts: Tensor) -> tuple[Tensor, Tensor]:
-    """eqs. 11-13 for every row and frame by itself: y (B, T, D) and the last h (B, N, E)."""
-    rows, finals = [], []
-    for b in range(len(x)):
-        h, past = state["ssm"][b], list(state["conv"][b])
-        ys = []
-        for t in range(x.shape[1]):
-            if starts[b, t]:
-                h, past = torch.zeros_like(h), [torch.zeros_like(p) for p in past]
-            y, h, past = _reference_step(module, x[b, t], h, past)
-            ys.append(y)
-        rows.append(torch.stack(ys))
-        finals.append(h)
-    return torch.stack(rows), torch.stack(finals)
-
-
-def _reference_step(module: Mamba, x: Tensor, h: Tensor, past: list[Tensor]) -> tuple[Tensor, Tensor, list[Tensor]]:
-    weight: Any = module.norm.weight
-    normed = x / torch.sqrt((x * x).mean() + 1e-5) * weight
-    both = module.in_proj.weight @ normed
-    inner, gate = both[: module.inner], both[module.inner :]
-    past = [*past, inner]
-    kernel, bias = module.conv1d.weight[:, 0], module.conv1d.bias
-    mixed = bias + sum(kernel[:, k] * past[k] for k in range(kernel.shape[1]))
-    u = mixed * torch.sigmoid(mixed)
-    n, r = module.config.d_state, module.rank
-    selected = module.x_proj.weight @ u
-    delta = F.softplus(module.dt_proj.weight @ selected[:r] + module.dt_proj.bias)
-    B, C = selected[r : r + n], selected[r + n :]
-    A = -torch.exp(module.A_log)
-    h = torch.stack([torch.exp(delta * A[:, i]) * h[i] + delta * B[i] * u for i in range(n)])
-    y = sum(C[i] * h[i] for i in range(n)) + module.D * u
-    y = y * gate * torch.sigmoid(gate)
-    return x + module.out_proj.weight @ y, h, past[1:]
+    """y (B, T, D) and the last h (B, N, E)."""
+    y, after = recurrence(module, x, state, starts)
+    return y, after["ssm"]
 
 
 def make(width: int = 8, seed: int = 0, **keys: Any) -> Mamba:
@@ -80,7 +51,7 @@ def _ours(module: Mamba, x: Tensor, state: dict[str, Tensor], starts: Tensor) ->
     return y, after["ssm"]
 
 
-@pytest.mark.parametrize("frames", [1, 2, 3, 4, 7, 16, 64])
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 7, 16, 64, 256])
 def test_outputs_and_gradients_equal_the_recurrence(frames: int) -> None:
     module = make()
     starts = torch.rand(3, frames) < 0.2
@@ -166,6 +137,28 @@ def test_parameters_have_the_usual_names_and_shapes() -> None:
         "D": (128,),
         "out_proj.weight": (64, 128),
     }
+
+
+def test_weights_in_the_layout_of_mamba_ssm_load_and_come_back() -> None:
+    """That package's block keeps its convolution in torch's Conv1d and A_log as (E, N); its norm is not part of it."""
+    inner, rank, states = 32, 1, 16
+    convolution = torch.nn.Conv1d(inner, inner, 4, groups=inner).state_dict()
+    theirs = {f"conv1d.{name}": value for name, value in convolution.items()}
+    theirs |= {
+        "A_log": torch.rand(inner, states),
+        "D": torch.rand(inner),
+        "in_proj.weight": torch.randn(2 * inner, 16),
+        "x_proj.weight": torch.randn(rank + 2 * states, inner),
+        "dt_proj.weight": torch.randn(inner, rank),
+        "dt_proj.bias": torch.randn(inner),
+        "out_proj.weight": torch.randn(16, inner),
+    }
+    module = Mamba(Mamba.Config(norm=False, residual=False), 16)
+    module.load_state_dict(theirs)
+    ours = module.state_dict()
+    assert ours.keys() == theirs.keys()
+    assert all(torch.equal(ours[name], value) for name, value in theirs.items())
+    assert Mamba(Mamba.Config(), 16).load_state_dict(theirs, strict=False).missing_keys == ["norm.weight"]
 
 
 def test_an_empty_range_of_steps_is_refused() -> None:
