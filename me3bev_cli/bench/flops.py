@@ -7,17 +7,14 @@ multiply-add counted as two; element by element ones are not counted.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves
-from torch.utils.flop_counter import FlopCounterMode
-
-Shape = Sequence[int]
+from torch.utils.flop_counter import flop_registry
 
 
 @dataclass(frozen=True)
@@ -40,47 +37,57 @@ class Cost:
 def cost(function: Callable[..., Any], inputs: Sequence[Any], modules: Iterable[nn.Module | None]) -> tuple[Any, Cost]:
     """Call `function(*inputs)`; its result and what it cost. Parameters are those of `modules`."""
     weights = {id(p): p for module in modules if module is not None for p in module.parameters()}
-    tensors = [leaf for leaf in tree_leaves(list(inputs)) if isinstance(leaf, torch.Tensor)]
+    tensors = list(_tensors(inputs))
     cuda = any(t.device.type == "cuda" for t in (*weights.values(), *tensors))
+    if cuda:
+        torch.cuda.synchronize()
+        torch.cuda.reset_peak_memory_stats()
+        before = torch.cuda.memory_allocated()
     # Under inference mode composite operations would reach the counter whole.
-    with torch.no_grad(), FlopCounterMode(display=False, custom_mapping=FORMULAS) as flops:
-        if cuda:
-            torch.cuda.synchronize()
-            torch.cuda.reset_peak_memory_stats()
-            before = torch.cuda.memory_allocated()
-            result = function(*inputs)
-            torch.cuda.synchronize()
-            peak = torch.cuda.max_memory_allocated() - before
-        else:
-            with LiveTensors() as live:
-                result = function(*inputs)
-            peak = live.peak
+    with torch.no_grad(), Counter() as counter:
+        result = function(*inputs)
+    peak = counter.peak
+    if cuda:
+        torch.cuda.synchronize()
+        peak = torch.cuda.max_memory_allocated() - before
     count = sum(p.numel() for p in weights.values())
-    sizes = nbytes(list(weights.values())), nbytes(tensors)
-    return result, Cost(int(flops.get_total_flops()), count, *sizes, peak)
+    return result, Cost(counter.flops, count, nbytes(list(weights.values())), nbytes(tensors), peak)
 
 
 def nbytes(tree: Any) -> int:
     """Bytes of all tensors in a tree."""
-    return sum(leaf.numel() * leaf.element_size() for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor))
+    return sum(leaf.numel() * leaf.element_size() for leaf in _tensors(tree))
 
 
-class LiveTensors(TorchDispatchMode):
-    """Counts the bytes of tensors made while it is active; `peak` is the most that were alive at once."""
+def _tensors(tree: Any) -> Iterator[Tensor]:
+    if isinstance(tree, Tensor):
+        yield tree
+    elif isinstance(tree, list | tuple):
+        for item in tree:
+            yield from _tensors(item)
+    elif isinstance(tree, dict):
+        yield from _tensors(list(tree.values()))
+
+
+class Counter(TorchDispatchMode):
+    """Adds up operations while it is active, and the bytes of tensors made; `peak` is the most alive at once."""
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
-        self.now = self.peak = 0
+        self.flops = self.now = self.peak = 0
         self._known: set[int] = set()
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None) -> Any:
-        given = {
-            leaf.untyped_storage()._cdata for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, torch.Tensor)
-        }
-        result = func(*args, **(kwargs or {}))
-        for leaf in tree_leaves(result):
-            if isinstance(leaf, torch.Tensor):
-                self._count(leaf.untyped_storage(), given)
+        kwargs = kwargs or {}
+        given = {leaf.untyped_storage()._cdata for leaf in _tensors([args, kwargs])}
+        result = func(*args, **kwargs)
+        packet = func._overloadpacket
+        if packet in FORMULAS:
+            self.flops += FORMULAS[packet](*args)
+        elif packet in flop_registry:
+            self.flops += int(flop_registry[packet](*args, **kwargs, out_val=result))
+        for leaf in _tensors(result):
+            self._count(leaf.untyped_storage(), given)
         return result
 
     def _count(self, storage: Any, given: set[int]) -> None:
@@ -99,28 +106,20 @@ class LiveTensors(TorchDispatchMode):
         self.now -= size
 
 
-def _recurrent(x: Shape, *weights: Shape) -> int:
+def _recurrent(x: Tensor, weights: Sequence[Tensor]) -> int:
     """A fused recurrent layer on x (T, B, D) or (B, T, D): each weight matrix once per frame."""
-    return 2 * x[0] * x[1] * sum(w[0] * w[1] for w in weights if len(w) == 2)
+    return 2 * x.shape[0] * x.shape[1] * sum(w.numel() for w in weights if w.dim() == 2)
 
 
-def _mkldnn_rnn(x: Shape, w_in: Shape, w_state: Shape, *_: Any, **__: Any) -> int:
-    return _recurrent(x, w_in, w_state)
-
-
-def _cudnn_rnn(x: Shape, weights: Sequence[Shape], *_: Any, **__: Any) -> int:
-    return _recurrent(x, *weights)
-
-
-def _embedding_bag(table: Shape, indices: Shape, *_: Any, **__: Any) -> int:
-    return 2 * indices[0] * table[1]
+def _embedding_bag(table: Tensor, indices: Tensor, *_: Any) -> int:
+    return 2 * len(indices) * table.shape[1]
 
 
 _ATEN = torch.ops.aten
 FORMULAS: dict[Any, Callable[..., int]] = {
-    _ATEN.mkldnn_rnn_layer: _mkldnn_rnn,
-    _ATEN._cudnn_rnn: _cudnn_rnn,
+    _ATEN.mkldnn_rnn_layer: lambda x, w_in, w_state, *_: _recurrent(x, [w_in, w_state]),
+    _ATEN._cudnn_rnn: lambda x, weights, *_: _recurrent(x, weights),
     _ATEN._embedding_bag: _embedding_bag,
     _ATEN._embedding_bag_forward_only: _embedding_bag,
 }
-"""For operations that torch's counter does not know."""
+"""For operations that torch's own table of formulas does not know."""

@@ -10,7 +10,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from me3bev_cli.bench.flops import Cost
 from me3bev_cli.bench.latency_network import Bench, Conditions, Variant
 from me3bev_cli.bench.latency_subjects import Subject
 from me3bev_cli.bench.machine_ceilings import Ceilings
@@ -33,7 +35,7 @@ class Effort:
     """Frames before the timing begins."""
     repeats: int = 50
     """Timed frames of each network in each context, at most."""
-    seconds: float = 120.0
+    seconds: float = 90.0
     """Of timing in all; slow contexts end when they have used their share."""
 
 
@@ -71,14 +73,14 @@ def measure(
         stopped: asked between two frames; what has been measured by then is kept.
     """
     ceilings = ceilings or Ceilings(conditions.device, conditions.dtype)
-    measured = Measured([], ceilings)
+    measured, known = Measured([], ceilings), dict[Any, Cost]()
     begun = time.perf_counter()
     for number, subject in enumerate(subjects):
         left = None if number == 0 else (time.perf_counter() - begun) / number * (len(subjects) - number)
         progress("building", number, len(subjects), None if left is None else left + effort.seconds)
         if stopped():
             break
-        bench = Bench(subject, conditions, lengths)
+        bench = Bench(subject, conditions, lengths, known)
         _warm_up(bench, effort.warmup)
         measured.benches.append(bench)
     ceilings.sample()

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 OVER_BUDGET = 3
 """Exit code."""
+WIDTH = 160
+"""Columns that hold every table."""
 
 
 def bench_latency(
@@ -34,7 +36,7 @@ def bench_latency(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     graphs: Annotated[bool, typer.Option(help="On CUDA: graphs where they apply.")] = True,
     repeats: Annotated[int, typer.Option(help="Timed calls of each context, at most.", min=1)] = 50,
-    seconds: Annotated[float, typer.Option(help="Of timing in all; slow contexts get fewer calls.", min=0)] = 120,
+    seconds: Annotated[float, typer.Option(help="Of timing in all; slow contexts get fewer calls.", min=0)] = 90,
     warmup: Annotated[int, typer.Option(help="Calls before the timing begins.", min=0)] = 5,
     budget_ms: Annotated[
         float | None,
@@ -126,7 +128,8 @@ def _print(outcome: Outcome, json: str | None) -> None:
         place.print(line, markup=False, soft_wrap=True)
     for headline, table in [*tables(outcome.rows), *score_tables(outcome.points)]:
         place.print(f"\n{headline}", style="bold", markup=False)
-        place.print(table)
+        # A narrow terminal breaks lines; it must not cut figures off.
+        place.print(table, width=max(place.width, WIDTH), crop=False)
 
 
 def _judge(outcome: Outcome, budget_ms: float | None, every: bool) -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from me3bev_cli.bench.flops import LiveTensors, cost, nbytes
+from me3bev_cli.bench.flops import Counter, cost, nbytes
 
 
 def test_a_linear_layer() -> None:
@@ -54,7 +54,7 @@ def test_shared_weights_count_once() -> None:
 def test_the_most_that_is_alive_at_once() -> None:
     """1000 numbers are made, views of them cost nothing; 2000 are alive together, then 1000 go and 500 come."""
     given = torch.ones(1000)
-    with LiveTensors() as live:
+    with Counter() as live:
         a = given + 1
         b = a.view(10, 100).T[2:5]
         given.mul_(2)
