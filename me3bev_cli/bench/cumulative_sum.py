@@ -10,7 +10,9 @@ import torch
 from torch import Tensor
 
 
-def cumulative_sum_splat(probability: Tensor, context: Tensor, cells: Tensor, count: int) -> Tensor:
+def cumulative_sum_splat(
+    probability: Tensor, context: Tensor, cells: Tensor, count: int, order: Tensor | None = None
+) -> Tensor:
     """Depth-weighted sum pooling by differences of a cumulative sum.
 
     Args:
@@ -18,6 +20,8 @@ def cumulative_sum_splat(probability: Tensor, context: Tensor, cells: Tensor, co
         context: (N, C, channels, h, w).
         cells: (C, D, h, w), the flat cell of each point, -1 outside the grid.
         count: number of cells, V.
+        order: for one frame, the points inside the grid by cell, where that is known before; None to sort at each
+            call, as published.
 
     Returns:
         (N, V, channels), differentiable in both.
@@ -27,9 +31,10 @@ def cumulative_sum_splat(probability: Tensor, context: Tensor, cells: Tensor, co
     points = lifted.permute(0, 1, 3, 4, 5, 2).reshape(-1, channels)
     shift = count * torch.arange(frames, device=cells.device)[:, None]
     cell = torch.where(cells.flatten() >= 0, cells.flatten() + shift, -1).flatten()
-    inside = cell >= 0
-    points, cell = points[inside], cell[inside]
-    order = cell.argsort()
+    if order is None:
+        inside = cell >= 0
+        points, cell = points[inside], cell[inside]
+        order = cell.argsort()
     points, cell = points[order], cell[order]
     sums = points.cumsum(0)
     last = torch.ones_like(cell, dtype=torch.bool)
