@@ -124,12 +124,13 @@ def _print(outcome: Outcome, json: str | None) -> None:
     from me3bev_cli.output import console
 
     place = console(json)
+    # A narrow terminal breaks lines; it must not cut figures off.
+    place.width = max(place.width, WIDTH)
     for line in preface(outcome.report):
         place.print(line, markup=False, soft_wrap=True)
     for headline, table in [*tables(outcome.rows), *score_tables(outcome.points)]:
         place.print(f"\n{headline}", style="bold", markup=False)
-        # A narrow terminal breaks lines; it must not cut figures off.
-        place.print(table, width=max(place.width, WIDTH), crop=False)
+        place.print(table)
 
 
 def _judge(outcome: Outcome, budget_ms: float | None, every: bool) -> None:
