@@ -117,6 +117,7 @@ def check_fusion(cls: Any, config: PluginConfig, widths: Mapping[str, int], seed
 def check_temporal(cls: Any, config: PluginConfig, width: int, seed: int) -> None:
     """Shapes, the state's form, and everything in `testing_temporal`."""
     from me3bev_cli.testing_temporal import check_memory, check_state
+    from me3bev_cli.testing_temporal_state import check_double
 
     try:
         cls.check(config, width)
@@ -133,3 +134,4 @@ def check_temporal(cls: Any, config: PluginConfig, width: int, seed: int) -> Non
     shape = tuple(run(module)["y"].shape)
     require(cls, shape == (3, 6, width), f"y has the shape of x, {(3, 6, width)}", shape)
     check_memory(cls, module, width, seed)
+    check_double(cls, lambda: cls(config, width), module, x, starts)

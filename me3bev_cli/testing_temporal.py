@@ -10,6 +10,7 @@ from torch import Tensor
 
 from me3bev_cli.testing import broken, require
 from me3bev_cli.testing_models import Outputs, leaves, noise, require_equal, seeded
+from me3bev_cli.testing_temporal_state import check_dense_starts, check_stored_state, check_windows
 
 BATCH, FRAMES = 4, 11
 
@@ -27,6 +28,9 @@ def check_memory(cls: type, module: Any, width: int, seed: int) -> None:
     _check_resets(cls, module, case)
     _check_causal(cls, module, case)
     _check_rows(cls, module, case)
+    check_stored_state(cls, module, case.x, case.state, case.starts)
+    check_windows(cls, module, case.x, case.starts)
+    check_dense_starts(cls, module, case.x)
 
 
 def _case(module: Any, width: int, seed: int) -> _Case:
