@@ -16,6 +16,8 @@ STROLL, APPROACH, WAIT, CROSS = 0, 1, 2, 3
 """Modes of a pedestrian."""
 TEMPTED, AT_CORNER, BOLD = 0.45, 0.15, 0.02
 """Share of those passing a crosswalk, the corner of a junction without one, or another place to cross, who do."""
+GLANCES = 5
+"""Who waits where there is no crosswalk looks round in every so many steps."""
 ASKS = 1.0
 """Who waits longer at a crosswalk without a light makes the traffic stop, seconds."""
 GIVES_UP = 25.0
@@ -191,7 +193,8 @@ def _wait(walks: Walks, person: Record, fleet: Fleet, board: Board, dt: float) -
             if person.wait > 2.0 * GIVES_UP:
                 _leave(walks, person)
             return
-    safe = not board.hot[person.crossing] and (crossing.marked or _is_lonely(crossing, fleet))
+    looks = crossing.marked or int(person.wait / dt + 0.5) % GLANCES == 1
+    safe = looks and not board.hot[person.crossing] and (crossing.marked or _is_lonely(crossing, fleet))
     if safe:
         person.mode, person.wait = CROSS, 0.0
     elif person.wait > GIVES_UP:
