@@ -6,6 +6,7 @@ No trunk keeps batch statistics or chance: see `trunk_norms`.
 from __future__ import annotations
 
 import copy
+from functools import cache
 from typing import cast
 
 import torch
@@ -93,6 +94,7 @@ def _timm(name: str, stride: int | None, pretrained: Pretrained, coarser: bool) 
     return features, None, [levels[index][1] for index in wanted]
 
 
+@cache
 def check_trunk(name: str, stride: int | None = None, neck: int | None = None) -> None:
     """Whether there is such a trunk, with features at the stride; takes no memory.
 
