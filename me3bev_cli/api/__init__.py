@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from me3bev_cli.api.base import GROUPS, NoConfig, PluginConfig
 from me3bev_cli.api.camera import CAMERA_NAMES, Camera, Matrix, ObservationConfig, Rig
+from me3bev_cli.api.loading import need_weights, weights_follow
 from me3bev_cli.api.network import (
     Calibration,
     FusionPlugin,
@@ -68,4 +69,6 @@ __all__ = [
     "StepRecord",
     "TemporalPlugin",
     "TokenSpec",
+    "need_weights",
+    "weights_follow",
 ]

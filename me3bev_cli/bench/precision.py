@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from me3bev_cli.api import PluginConfig, Rig
+from me3bev_cli.api import PluginConfig, Rig, weights_follow
 
 
 def bf16_error(
@@ -53,7 +54,8 @@ def relative_error(value: Tensor, right: Tensor) -> float:
 
 
 def _made(cls: type[Any], config: PluginConfig, rig: Rig, state: Mapping[str, Tensor] | None, seed: int) -> nn.Module:
-    with torch.random.fork_rng(devices=[]):
+    follow = weights_follow() if state is not None else nullcontext()
+    with torch.random.fork_rng(devices=[]), follow:
         torch.manual_seed(seed)
         module: nn.Module = cls(config, rig)
     if state is not None:

@@ -20,6 +20,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from me3bev_cli import recipe_loading
+from me3bev_cli.api import weights_follow
 from me3bev_cli.errors import CheckpointError, RunError
 from me3bev_cli.pipeline.assemble import build_network
 from me3bev_cli.pipeline.network import Network
@@ -108,7 +109,8 @@ def load_network(folder: Path, device: torch.device) -> tuple[Network, Recipe]:
     if not (folder / RECIPE).exists():
         raise CheckpointError(f"the checkpoint {folder} has no {RECIPE}", hint="choose an older checkpoint")
     recipe = recipe_loading.resolve_recipe(str(folder / RECIPE))
-    network = build_network(recipe, recipe.seed)
+    with weights_follow():
+        network = build_network(recipe, recipe.seed)
     load_weights(network, folder)
     return network.to(device), recipe
 

@@ -10,6 +10,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
+from me3bev_cli.api import need_weights
 from me3bev_cli.errors import PluginError, did_you_mean, unknown_name
 from me3bev_plugins.spatial.blocks import Residual, conv, group_norm
 from me3bev_plugins.spatial.trunk_norms import settle
@@ -35,7 +36,7 @@ def tiny_stages(pretrained: Pretrained) -> list[nn.Module]:
         nn.Sequential(conv(32, 48, 3, 2), Residual(48, 48)),
         nn.Sequential(Residual(48, 96, 2)),
     ]
-    if pretrained:
+    if pretrained and need_weights():
         whole = nn.Sequential(*stages)
         whole.load_state_dict(read_weights(Path(pretrained), whole.state_dict()))
     return stages
@@ -51,7 +52,7 @@ def torchvision_stages(name: str, pretrained: Pretrained) -> list[nn.Module]:
     model = _with_weights(
         name, pretrained, lambda weights: models.get_model(name, weights="DEFAULT" if weights else None)
     )
-    if not isinstance(pretrained, bool):
+    if not isinstance(pretrained, bool) and need_weights():
         model.load_state_dict(read_weights(Path(pretrained), model.state_dict(), _HEADS), strict=False)
     settle(model, frozen=bool(pretrained))
     features = getattr(model, "features", None)
@@ -94,7 +95,7 @@ def timm_features(
             raise PluginError(f"'{TIMM}{name}' cannot be a trunk: timm gives no strided features of it") from error
 
     model = _shortened(_with_weights(TIMM + name, pretrained, make))
-    if not isinstance(pretrained, bool):
+    if not isinstance(pretrained, bool) and need_weights():
         _load_timm(timm, name, model, Path(pretrained))
     settle(model, frozen=bool(pretrained))
     info = cast(Any, model.feature_info)
@@ -139,7 +140,7 @@ def _load_timm(timm: Any, name: str, model: nn.Module, path: Path) -> None:
 
 def _with_weights(name: str, pretrained: Pretrained, make: Callable[[bool], nn.Module]) -> nn.Module:
     """The model with published weights if they are asked for."""
-    if pretrained is not True:
+    if pretrained is not True or not need_weights():
         return make(False)
     try:
         return make(True)

@@ -8,9 +8,13 @@ import naive_lift_splat as naive
 import pytest
 import torch
 from pydantic import ValidationError
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
 
 from me3bev_cli.api import Rig
+from me3bev_plugins.spatial.bev_trunk import BEVTrunk
 from me3bev_plugins.spatial.lift_splat import LiftSplat
+from me3bev_plugins.spatial.trunks import Trunk
 
 SMALL: dict[str, Any] = {
     "trunk": "tiny",
@@ -121,3 +125,40 @@ def test_cameras_of_two_sizes_are_refused() -> None:
     mixed = Rig(cameras=(naive.rig().cameras[0], naive.rig(height=64).cameras[1]))
     with pytest.raises(ValueError, match="must all have one size"):
         LiftSplat.output_spec(LiftSplat.Config(**SMALL), mixed)
+
+
+def test_the_grids_trunk_costs_less_than_the_cameras() -> None:
+    """At full size, in multiply-adds: it sees 40,000 cells where the cameras have 1,056 feature cells."""
+    rig = naive.rig(height=128, width=352)
+    with torch.device("meta"):
+        trunk = Trunk("efficientnet_b0", 16, neck=128)
+        config = LiftSplat.Config()
+        tokens = (config.token_rows, config.token_columns, config.token_width)
+        ground = 3 * config.ground_samples**2 + 1
+        bev = BEVTrunk(config.channels + ground, config.bev_channels, config.bev_blocks, tokens)
+        images, grid = torch.zeros(len(rig.cameras), 3, 128, 352), torch.zeros(1, config.channels + ground, 200, 200)
+        costs = []
+        for module, x in ((trunk, images), (bev, grid)):
+            with FlopCounterMode(display=False) as counter:
+                module(x)
+            costs.append(counter.get_total_flops())
+    assert costs[1] < 0.7 * costs[0]
+
+
+def test_tokens_are_a_grid_over_the_map() -> None:
+    """What lies ahead changes the tokens of the first row, what lies behind those of the last."""
+    config = LiftSplat.Config(**(SMALL | {"token_rows": 4, "token_columns": 4}))
+    torch.manual_seed(0)
+    # Receptive fields are wide: without normalisation, which looks at the whole map, most stays where it is.
+    trunk = BEVTrunk(3, (4, 6, 8), 1, (config.token_rows, config.token_columns, config.token_width)).double()
+    for module in trunk.modules():
+        if isinstance(module, nn.GroupNorm):
+            module.forward = lambda x: x  # type: ignore[method-assign]
+    grid = torch.zeros(1, 3, 64, 64, dtype=torch.float64)
+    plain = trunk(grid)[0].view(4, 4, -1)
+    for row, column in ((0, 0), (3, 3)):
+        marked = grid.clone()
+        marked[:, :, 16 * row + 6 : 16 * row + 10, 16 * column + 6 : 16 * column + 10] = 1.0
+        change = (trunk(marked)[0].view(4, 4, -1) - plain).abs().sum(-1)
+        assert change.argmax() == 4 * row + column
+        assert change[3 - row, 3 - column] == 0

@@ -13,6 +13,7 @@ import torchvision
 from safetensors.torch import save_file
 from torch import nn
 
+from me3bev_cli.api import weights_follow
 from me3bev_cli.errors import PluginError
 from me3bev_plugins.spatial.trunk_norms import FrozenBatchNorm
 from me3bev_plugins.spatial.trunks import Trunk
@@ -224,3 +225,22 @@ def test_without_timm_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "timm", None)
     with pytest.raises(PluginError, match=r"need the package timm\. pip install 'me3bev\[timm\]'"):
         Trunk("timm:resnet18", 16)
+
+
+def test_a_checkpoint_needs_no_pretrained_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file may be gone and the machine offline: what is built has the same names, and the statistics come along."""
+
+    def fail(*args: object, **keys: object) -> None:
+        raise URLError("no route to host")
+
+    monkeypatch.setattr(torchvision.models._api.WeightsEnum, "get_state_dict", fail)
+    torch.save(torchvision.models.resnet18().state_dict(), tmp_path / "w.pth")
+    given = Trunk("resnet18", 16, str(tmp_path / "w.pth"))
+    for pretrained in (True, str(tmp_path / "gone.pth")):
+        with pytest.raises(PluginError):
+            Trunk("resnet18", 16, pretrained)
+        with weights_follow():
+            bare = Trunk("resnet18", 16, pretrained)
+        bare.load_state_dict(given.state_dict())
+        x = torch.randn(1, 3, 64, 64)
+        torch.testing.assert_close(bare(x), given(x))
