@@ -75,6 +75,9 @@ class TemporalPlugin(Protocol):
 
     Stepping one frame at a time with the carried state equals the whole sequence at once. Where
     `starts[b, t]` is true the memory of b is cleared before frame t is read.
+
+    A memory that looks back at a fixed number of frames has it as `context` in its config, and parameters that do not
+    depend on it: `me3bev bench-latency` sets it to the context that it times.
     """
 
     Config: ClassVar[type[PluginConfig]]
