@@ -101,8 +101,10 @@ class _Splat(torch.autograd.Function):
         index = SplatIndex(*parts)
         ctx.save_for_backward(probability, context, *parts)
         frames, pixels, channels = context.shape
-        rows = _per_frame(index.pixel, frames, pixels)
-        offsets = _per_frame(index.cell_offsets, frames, len(index.pixel))
+        points = len(index.pixel)
+        kind = _kind(frames * max(points, pixels, len(index.cell_offsets)))
+        rows = _per_frame(index.pixel, frames, pixels, kind)
+        offsets = _per_frame(index.cell_offsets, frames, points, kind)
         weights = probability.index_select(1, index.entry).flatten()
         return weighted_bags(context.reshape(-1, channels), weights, rows, offsets).view(frames, -1, channels)
 
@@ -113,28 +115,32 @@ class _Splat(torch.autograd.Function):
         index = SplatIndex(*parts)
         frames, pixels, channels = context.shape
         cells, points = len(index.cell_offsets), len(index.pixel)
+        kind = _kind(frames * max(points, pixels, cells))
         grad = grads[0].reshape(-1, channels)
         grad_probability = grad_context = None
         if ctx.needs_input_grad[0]:
-            cell = _per_frame(index.cell, frames, cells)
-            rows = _per_frame(index.pixel, frames, pixels)
-            offsets = _per_frame(index.cell_offsets, frames, points)
+            cell = _per_frame(index.cell, frames, cells, kind)
+            rows = _per_frame(index.pixel, frames, pixels, kind)
+            offsets = _per_frame(index.cell_offsets, frames, points, kind)
             products = paired_products(grad, context.reshape(-1, channels), rows, offsets, cell)
             grad_probability = torch.zeros_like(probability)
             grad_probability.index_copy_(1, index.entry.long(), products.view(frames, points))
         if ctx.needs_input_grad[1]:
             weights = probability.index_select(1, index.entry_by_pixel).flatten()
-            rows = _per_frame(index.cell_by_pixel, frames, cells)
-            offsets = _per_frame(index.pixel_offsets, frames, points)
+            rows = _per_frame(index.cell_by_pixel, frames, cells, kind)
+            offsets = _per_frame(index.pixel_offsets, frames, points, kind)
             grad_context = weighted_bags(grad, weights, rows, offsets).view_as(context)
         return (grad_probability, grad_context, *(None for _ in parts))
 
 
-def _per_frame(table: Tensor, frames: int, step: int) -> Tensor:
-    """A table of numbers below `step` -> the tables of all frames, each `step` above the one before."""
+def _per_frame(table: Tensor, frames: int, step: int, kind: torch.dtype) -> Tensor:
+    """A table of numbers up to `step` -> the tables of all frames, each `step` above the one before.
+
+    torch wants all the tables of a call in one type.
+    """
     if frames == 1:
         return table
-    kind = torch.promote_types(table.dtype, _kind(frames * step))
+    kind = torch.promote_types(table.dtype, kind)
     shift = step * torch.arange(frames, dtype=kind, device=table.device)
     return (table + shift[:, None]).flatten()
 

@@ -8,9 +8,9 @@ import naive_lift_splat as naive
 import pytest
 import torch
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from me3bev_cli.api import Camera, Rig
+from me3bev_cli.testing_spatial import Allocations
 from me3bev_plugins.spatial import splat as splat_module
 from me3bev_plugins.spatial.frustum import Grid, calibration, cells_of, depth_edges, frustum
 from me3bev_plugins.spatial.splat import SplatIndex, build_index, splat
@@ -121,19 +121,6 @@ def test_points_outside_are_dropped(point: tuple[float, float, float], inside: b
     assert (cells_of(torch.tensor(point, dtype=torch.float64), GRID).item() >= 0) == inside
 
 
-class Largest(TorchDispatchMode):
-    """The largest tensor that any operation gives."""
-
-    elements = 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        result = func(*args, **(kwargs or {}))
-        for value in result if isinstance(result, tuple | list) else [result]:
-            if isinstance(value, Tensor):
-                self.elements = max(self.elements, value.numel())
-        return result
-
-
 @pytest.mark.parametrize("fused", [True, False])
 def test_nothing_is_ever_lifted(fused: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Forward and backward at 41 bins and 64 channels stay far below C x D x h x w x channels numbers."""
@@ -145,6 +132,41 @@ def test_nothing_is_ever_lifted(fused: bool, monkeypatch: pytest.MonkeyPatch) ->
     pixels = 6 * 8 * 12
     probability = torch.rand(1, pixels * bins, requires_grad=True)
     context = torch.rand(1, pixels, channels, requires_grad=True)
-    with Largest() as largest:
+    with Allocations() as made:
         splat(probability, context, index).square().sum().backward()
-    assert 0 < largest.elements < pixels * bins * channels / 16
+    assert 0 < made.largest < pixels * bins * channels / 16
+
+
+@pytest.mark.parametrize("fused", [True, False])
+@pytest.mark.parametrize("frames", [1, 3])
+def test_a_camera_that_sees_nothing_of_the_grid(frames: int, fused: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It looks ahead, the grid lies behind: zeros, and gradients of zero."""
+    if not fused:
+        monkeypatch.setattr(splat_module, "fused", lambda table: False)
+    rig = Rig(cameras=naive.rig().cameras[:1])
+    grid = Grid((-60.0, -40.0), (-9.0, 9.0), (-0.5, 3.0), 1.0)
+    index = index_of(rig, grid)
+    assert len(index.cell) == 0
+    probability = torch.rand(frames, BINS * 4 * 6, requires_grad=True)
+    context = torch.randn(frames, 4 * 6, CHANNELS, requires_grad=True)
+    cells = splat(probability, context, index)
+    assert cells.shape == (frames, 20 * 18, CHANNELS)
+    cells.sum().backward()
+    assert not any(part.any() for part in (cells, probability.grad, context.grad) if part is not None)
+
+
+def test_tables_outgrow_int32_where_they_must(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a limit that three frames pass, they are counted in int64 and come to the same."""
+    rig = naive.rig(2)
+    probability, context = inputs(rig, 3)
+    expected = ours(rig, probability, context)
+    assert index_of(rig).entry.dtype == torch.int32
+    monkeypatch.setattr(splat_module, "_INT32", 2 * BINS * 4 * 6 + 1)
+    assert index_of(rig).entry.dtype == torch.int32
+    assert splat_module._kind(3 * 2 * BINS * 4 * 6) == torch.int64
+    given = ours(rig, probability, context)
+    torch.testing.assert_close(given, expected)
+    for mine, theirs in zip(
+        *(torch.autograd.grad(x.square().sum(), (probability, context)) for x in (given, expected)), strict=True
+    ):
+        torch.testing.assert_close(mine, theirs)
