@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from me3bev_cli.api import GROUPS, Calibration, NoConfig, PluginConfig, Rig, SpatialOutput, TokenSpec
 from me3bev_cli.errors import PluginError, UserError
-from me3bev_cli.testing import check_plugin
+from me3bev_cli.testing import check_plugin, small_rig
 
 SMALL: dict[str, dict[str, Any]] = {
     "lift_splat": {
@@ -49,6 +49,15 @@ def test_installed_plugins_keep_their_contract(kind: str, entry: EntryPoint) -> 
 @pytest.mark.parametrize("trunk", ["shufflenet_v2_x0_5", "mobilenet_v3_small"])
 def test_torchvision_trunks_keep_the_contract(trunk: str) -> None:
     check_plugin("spatial", entry_points(group="me3bev.spatial")["flat_cnn"].load(), {"trunk": trunk, "width": 8})
+
+
+@pytest.mark.parametrize("name", ["lift_splat", "flat_cnn"])
+@pytest.mark.parametrize(
+    ("keys", "cameras"), [({"precision": "bf16"}, 6), ({"channels_last": False}, 6), ({}, 1), ({}, 8)]
+)
+def test_spatial_plugins_keep_it_however_they_compute(name: str, keys: dict[str, Any], cameras: int) -> None:
+    cls = entry_points(group="me3bev.spatial")[name].load()
+    check_plugin("spatial", cls, SMALL[name] | keys, rig=small_rig(cameras=cameras))
 
 
 class Decay(nn.Module):
