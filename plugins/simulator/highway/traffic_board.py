@@ -76,6 +76,19 @@ def write_entries(roads: Roads, grid: Grid, fleet: Fleet, board: Board) -> None:
 
 
 @kernel
+def queue_beyond(board: Board, lane: int, s: float) -> float:
+    """What those who stand on a lane beyond arc length `s` cost, seconds."""
+    seconds = 0.0
+    k = board.heads[lane]
+    while k >= 0:
+        entry = board.entries[k]
+        k = entry.next
+        if entry.s > s and entry.speed < SLOW:
+            seconds += QUEUE
+    return seconds
+
+
+@kernel
 def _write_footprint(roads: Roads, grid: Grid, ego: Record, index: int, board: Board) -> None:
     """Put the ego on every lane whose corridor its box overlaps, wherever it really is."""
     c, s = np.cos(ego.heading), np.sin(ego.heading)

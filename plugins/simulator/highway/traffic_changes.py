@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from me3bev_plugins.simulator.highway.compiled import kernel
-from me3bev_plugins.simulator.highway.traffic_board import QUEUE, SLOW, put_entry
+from me3bev_plugins.simulator.highway.traffic_board import SLOW, put_entry, queue_beyond
 from me3bev_plugins.simulator.highway.traffic_drive import FIRM, follow, free_road
 from me3bev_plugins.simulator.highway.traffic_records import TRAIL, Record
 from me3bev_plugins.simulator.highway.traffic_routes import CHANGE, time_into
@@ -103,23 +103,10 @@ def _cost(roads: Roads, board: Board, car: Record, lane: int, s: float, to_left:
             following = roads.follow[k]
             left = time_left(roads, car, following) + time_into(roads.lanes[following])
             if changes + left < least:
-                least = min(least, changes + left + _queue(board, lane, s))
+                least = min(least, changes + left + queue_beyond(board, lane, s))
         changes += CHANGE
         lane = record.left if to_left else record.right
     return least
-
-
-@kernel
-def _queue(board: Board, lane: int, s: float) -> float:
-    """What those who stand on a lane beyond arc length `s` cost, seconds."""
-    seconds = 0.0
-    k = board.heads[lane]
-    while k >= 0:
-        entry = board.entries[k]
-        k = entry.next
-        if entry.s > s and entry.speed < SLOW:
-            seconds += QUEUE
-    return seconds
 
 
 @kernel

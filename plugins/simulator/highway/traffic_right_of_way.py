@@ -22,7 +22,7 @@ from me3bev_plugins.simulator.highway.traffic_tables import Roads
 PATIENCE = 10.0
 """After this a waiting vehicle goes before all others, seconds."""
 STARVED = 30.0
-"""After this a waiting vehicle keeps the room beyond the junction for itself, which shorter ones would fill, seconds."""
+"""After this a waiting vehicle keeps the room beyond the junction that shorter ones would fill, seconds."""
 DETOUR = 6.0
 """After this without room beyond the junction another way is taken, seconds."""
 LAPSE = 5.0
