@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from me3bev_cli.api import Rig
@@ -74,14 +73,16 @@ def _seen_by(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """For ground points (S, 2): the camera that sees each best, the pixel position there, and whether any does."""
     height, width = image_size
-    ground = F.pad(points, (0, 1))
-    ground = torch.cat([ground, torch.ones_like(ground[:, :1])], dim=1)
-    seen_from = torch.einsum("cij,sj->csi", torch.linalg.inv(extrinsics), ground)[..., :3]
-    depth = seen_from[..., 2]
-    position = torch.einsum("cij,csj->csi", intrinsics, seen_from)[..., :2] / depth.clamp(min=1e-6).unsqueeze(-1)
-    u, v = position.unbind(-1)
+    # On the plane z = 0 a camera is a homography (3 x 3) of (x, y, 1); its last row gives the depth.
+    plane = (intrinsics @ torch.linalg.inv(extrinsics)[:, :3])[:, :, [0, 1, 3]]
+    x, y = points.unbind(-1)
+    across, down, depth = (plane.reshape(-1, 3) @ torch.stack([x, y, torch.ones_like(x)])).view(-1, 3, len(x)).unbind(1)
+    front = depth.clamp(min=1e-6)
+    u, v = across / front, down / front
+    eye = extrinsics[:, :3, 3, None]
+    distance = ((x - eye[:, 0]).square() + (y - eye[:, 1]).square() + eye[:, 2].square()).sqrt()
     seen = (depth > 0.1) & (u >= 0) & (u <= width) & (v >= 0) & (v <= height)
-    score = torch.where(seen, depth / seen_from.norm(dim=-1), -1.0) - 1e-9 * order[:, None]
+    score = torch.where(seen, depth / distance, -1.0) - 1e-9 * order[:, None]
     best = score.argmax(0)
     chosen = best, torch.arange(len(points), device=best.device)
     return best, u[chosen], v[chosen], seen.any(0)
