@@ -77,15 +77,14 @@ def _seen_by(
     plane = (intrinsics @ torch.linalg.inv(extrinsics)[:, :3])[:, :, [0, 1, 3]]
     x, y = points.unbind(-1)
     across, down, depth = (plane.reshape(-1, 3) @ torch.stack([x, y, torch.ones_like(x)])).view(-1, 3, len(x)).unbind(1)
-    front = depth.clamp(min=1e-6)
-    u, v = across / front, down / front
     eye = extrinsics[:, :3, 3, None]
     distance = ((x - eye[:, 0]).square() + (y - eye[:, 1]).square() + eye[:, 2].square()).sqrt()
-    seen = (depth > 0.1) & (u >= 0) & (u <= width) & (v >= 0) & (v <= height)
+    seen = (depth > 0.1) & (across >= 0) & (across <= width * depth) & (down >= 0) & (down <= height * depth)
     score = torch.where(seen, depth / distance, -1.0) - 1e-9 * order[:, None]
     best = score.argmax(0)
     chosen = best, torch.arange(len(points), device=best.device)
-    return best, u[chosen], v[chosen], seen.any(0)
+    nearest = depth[chosen].clamp(min=0.1)
+    return best, across[chosen] / nearest, down[chosen] / nearest, seen.any(0)
 
 
 def ranks(rig: Rig) -> Tensor:
