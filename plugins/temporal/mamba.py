@@ -57,6 +57,7 @@ class Mamba(nn.Module):
         self.config, self.width = config, width
         inner, states = config.expand * width, config.d_state
         self.inner = inner
+        self._kept_rates: tuple[Tensor, Tensor] | None = None
         self.rank = math.ceil(width / 16) if config.dt_rank == "auto" else config.dt_rank
         self.norm = nn.RMSNorm(width, eps=1e-5) if config.norm else nn.Identity()
         self.in_proj = nn.Linear(width, 2 * inner, bias=False)
@@ -102,7 +103,7 @@ class Mamba(nn.Module):
         if self.config.backend != "torch" and native.suits(x, self.D, state["conv"], state["ssm"]):
             return self._native(x, state, starts)
         normed = self.norm(x.to(self.D.dtype))
-        if x.shape[1] == 1 and not torch.is_grad_enabled():
+        if x.shape[1] == 1 and not torch.is_grad_enabled() and not _autocast(x.device.type):
             y, state = self._step(normed[:, 0], state, starts[:, 0])
             y = y.unsqueeze(1)
         else:
@@ -148,24 +149,36 @@ class Mamba(nn.Module):
 
     def _step(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
         """One frame without gradients, x (B, D): the same arithmetic in as few operations as possible."""
-        inner, gate = self.in_proj(x).chunk(2, dim=-1)
-        past = cleared(state["conv"], starts)
-        taps = torch.cat([past, inner.to(past.dtype).unsqueeze(1)], dim=1)
-        kernel = self.conv1d.weight[:, 0].T
-        inner = F.silu((taps * kernel).sum(1) + self.conv1d.bias)
-        step, B, C = self.x_proj(inner).split([self.rank, self.config.d_state, self.config.d_state], dim=-1)
-        delta = F.softplus(self.dt_proj(step))
-        A = torch.exp(self.A_log.T.contiguous()).neg_()
-        with _full_precision(x.device.type):
-            dtype = A.dtype
-            y, ssm = scan_step(inner.to(dtype), delta.to(dtype), A, B.to(dtype), C.to(dtype), state["ssm"], starts)
-        y = torch.addcmul(y, self.D, inner).mul_(F.silu(gate))
-        return self.out_proj(y), {"conv": taps[:, 1:], "ssm": ssm}
+        weights, states = self._weights(), self.config.d_state
+        conv, ssm = state["conv"], state["ssm"]
+        if starts.device.type != "cpu" or bool(starts.any()):
+            conv, ssm = (part.masked_fill(starts[:, None, None], 0.0) for part in (conv, ssm))
+        inner, gate = F.linear(x, weights.in_proj).chunk(2, dim=-1)
+        taps = torch.cat([conv, inner.unsqueeze(1)], dim=1)
+        inner = F.silu((taps * weights.conv_weight[:, 0].T).sum(1).add_(weights.conv_bias), inplace=True)
+        step, B, C = F.linear(inner, weights.x_proj).split([self.rank, states, states], dim=-1)
+        delta = F.softplus(F.linear(step, weights.dt_proj, weights.dt_bias))
+        y, ssm = scan_step(inner, delta, self._rates(), B, C, ssm)
+        y = torch.addcmul(y, weights.D, inner).mul_(F.silu(gate))
+        return F.linear(y, weights.out_proj), {"conv": taps[:, 1:], "ssm": ssm}
+
+    def _rates(self) -> Tensor:
+        """A (N, E); on a CPU kept from the last frame, since comparing A_log costs less than its exponential."""
+        kept, now = self._kept_rates, self.A_log
+        if kept is not None and now.is_cpu and kept[0].dtype == now.dtype and torch.equal(kept[0], now):
+            return kept[1]
+        rates = torch.exp(self.A_log.T.contiguous()).neg_()
+        self._kept_rates = self.A_log.detach().clone(), rates
+        return rates
+
+
+def _autocast(device: str) -> bool:
+    return torch.amp.is_autocast_available(device) and torch.is_autocast_enabled(device)
 
 
 def _full_precision(device: str) -> AbstractContextManager[Any]:
-    """Without autocast, on devices that have it."""
-    return torch.autocast(device, enabled=False) if torch.amp.is_autocast_available(device) else nullcontext()
+    """Without autocast."""
+    return torch.autocast(device, enabled=False) if _autocast(device) else nullcontext()
 
 
 class _Kernel(nn.Module):

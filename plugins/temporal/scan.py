@@ -64,11 +64,9 @@ def cleared(state: Tensor, starts: Tensor) -> Tensor:
     return state.masked_fill(starts.view(-1, *(1 for _ in state.shape[1:])), 0.0)
 
 
-def scan_step(
-    x: Tensor, delta: Tensor, A: Tensor, B: Tensor, C: Tensor, state: Tensor, starts: Tensor
-) -> tuple[Tensor, Tensor]:
-    """One frame of `selective_scan` without gradients: x, delta (B, E), B, C (B, N), starts (B,)."""
-    state = cleared(state, starts) * (delta[:, None, :] * A).exp_()
+def scan_step(x: Tensor, delta: Tensor, A: Tensor, B: Tensor, C: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    """One frame of `selective_scan` without gradients and starts: x, delta (B, E), B, C (B, N)."""
+    state = (delta[:, None, :] * A).exp_().mul_(state)
     state.baddbmm_(B[:, :, None], (delta * x)[:, None, :])
     return torch.bmm(C[:, None, :], state)[:, 0], state
 

@@ -77,6 +77,30 @@ def test_outputs_and_gradients_equal_the_equations(cls: Any, share: float, keys:
         torch.testing.assert_close(ours, theirs, rtol=1e-9, atol=1e-10)
 
 
+@pytest.mark.parametrize("cls", [GRU, LSTM])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])
+def test_the_fused_kernel_runs_once_however_dense_the_starts_are(cls: Any, share: float) -> None:
+    module = cls(cls.Config(), 6)
+    calls: list[int] = []
+    kernel = module.gru if cls is GRU else module.lstm
+    kernel.register_forward_hook(lambda *_: calls.append(1))
+    module(torch.randn(3, 40, 6), module.initial_state(3), torch.rand(3, 40) < share)
+    assert calls == [1]
+
+
+@pytest.mark.parametrize("cls", [GRU, LSTM])
+def test_streaming_with_dense_starts_equals_the_sequence(cls: Any) -> None:
+    torch.manual_seed(2)
+    module = cls(cls.Config(layers=2), 6)
+    x, starts = torch.randn(3, 30, 6), torch.rand(3, 30) < 0.7
+    expected, _ = module(x, module.initial_state(3), starts)
+    state, ys = module.initial_state(3), []
+    for t in range(30):
+        y, state = module(x[:, t : t + 1], state, starts[:, t : t + 1])
+        ys.append(y)
+    torch.testing.assert_close(torch.cat(ys, 1), expected, rtol=1e-5, atol=1e-6)
+
+
 def test_segments_by_hand() -> None:
     """Rows 0001 and 0101 hold the segments 000, 1 and 0, 10, 1: lengths 3, 1, 1, 2, 1."""
     starts = torch.tensor([[0, 0, 0, 1], [0, 1, 0, 1]], dtype=torch.bool)

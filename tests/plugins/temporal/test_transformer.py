@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch.utils.flop_counter import FlopCounterMode
 
 from me3bev_plugins.temporal.rotary import rotate, rotation
 from me3bev_plugins.temporal.transformer import Transformer
@@ -69,17 +70,29 @@ def test_outputs_and_gradients_equal_naive_attention(context: int) -> None:
 def test_streaming_slides_far_beyond_the_context() -> None:
     """After many more frames than the cache holds, each step is still the same as over the whole sequence."""
     torch.manual_seed(1)
-    module = Transformer(Transformer.Config(heads=2, context=4), 8).double()
-    x, starts = torch.randn(2, 50, 8, dtype=torch.float64), torch.zeros(2, 50, dtype=torch.bool)
-    starts[1, 37] = True
+    module = Transformer(Transformer.Config(layers=2, heads=2, context=8), 8).double()
+    x, starts = torch.randn(2, 100, 8, dtype=torch.float64), torch.zeros(2, 100, dtype=torch.bool)
+    starts[1, 77] = True
     expected = reference(module, x, starts)
     state, ys = module.initial_state(2), []
-    for t in range(50):
+    for t in range(100):
         y, state = module(x[:, t : t + 1], state, starts[:, t : t + 1])
         ys.append(y)
-        assert state["keys"].shape == (2, 1, 3, 8)
+        assert state["keys"].shape == (2, 2, 7, 8)
     torch.testing.assert_close(torch.cat(ys, 1), expected, rtol=1e-6, atol=1e-7)
-    assert state["count"].tolist() == [3, 3]
+    assert state["count"].tolist() == [7, 7]
+
+
+def test_the_cost_of_a_step_is_bounded_by_the_context() -> None:
+    module = Transformer(Transformer.Config(heads=2, context=8), 8)
+    x, none, state = torch.randn(1, 1, 8), torch.zeros(1, 1, dtype=torch.bool), module.initial_state(1)
+    costs = []
+    for _ in range(40):
+        with torch.no_grad(), FlopCounterMode(display=False) as counter:
+            _, state = module(x, state, none)
+        costs.append(counter.get_total_flops())
+    assert costs[7:] == [costs[7]] * 33
+    assert max(costs) == costs[7]
 
 
 def test_a_frame_beyond_the_context_is_forgotten() -> None:
