@@ -113,7 +113,8 @@ class Mamba(nn.Module):
     def _native(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
         """The same on native kernels."""
         weights = self._weights()
-        if x.shape[1] == 1 and x.shape[0] <= native.STEP_ROWS and not torch.is_grad_enabled():
+        native.check_shapes(weights, x, state["conv"], state["ssm"], starts)
+        if x.shape[1] == 1 and x.numel() <= native.STEP_NUMBERS and not torch.is_grad_enabled():
             plan = native.plan(self, self.norm.weight if self.config.norm else None, weights)
             if plan is not None:
                 y, conv, ssm = native.step(plan, x, state["conv"], state["ssm"], starts)

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-STEP_ROWS = 4
-"""Up to so many sequences a streaming step is one call; for more, products of matrices pay."""
+STEP_NUMBERS = 2048
+"""Up to so many numbers of input (sequences x width) a streaming step is one call; for more, matrix products pay."""
 
 
 class Kernels(NamedTuple):
@@ -57,6 +57,20 @@ def kernels() -> Kernels | None:
     return Kernels(step, convolve, convolve_backward, recur, recur_backward, BLOCK)
 
 
+def check_shapes(weights: Weights, x: Tensor, conv: Tensor, ssm: Tensor, starts: Tensor) -> None:
+    """Kernels believe what they are told of sizes.
+
+    Raises:
+        ValueError: for tensors that do not belong to each other.
+    """
+    rows, frames, width = x.shape
+    inner, states = weights.A_log.shape
+    wanted = ((rows, weights.conv_weight.shape[2] - 1, inner), (rows, states, inner), (rows, frames), torch.bool)
+    given = (conv.shape, ssm.shape, starts.shape, starts.dtype)
+    if width != weights.in_proj.shape[1] or given != wanted:
+        raise ValueError(f"x {tuple(x.shape)} with conv, ssm, starts and its dtype {given} instead of {wanted}")
+
+
 def suits(x: Tensor, parameter: Tensor, conv: Tensor, ssm: Tensor) -> bool:
     """Whether the kernels can take these: float32 on a CPU, and nothing that rewrites or watches operators."""
     single = torch.float32
@@ -86,18 +100,21 @@ class _Plan:
         self.seen = np.full(inner * states, np.nan, np.float32)
         self.A = np.empty((states, inner), np.float32)
         self.work = np.empty(5 * inner + width + rank + 2 * states, np.float32)
-        self.table = np.zeros(19, np.int64)
-        self.table[16:] = self.seen.ctypes.data, self.A.ctypes.data, self.work.ctypes.data
+        self.table = np.zeros(20, np.int64)
+        self.table[17:] = self.seen.ctypes.data, self.A.ctypes.data, self.work.ctypes.data
         self.addresses: list[int] = []
+        self.shapes: list[torch.Size] = []
 
     def aim(self, parameters: Sequence[Tensor]) -> bool:
         """Enter where the parameters are now, for they may have been replaced; whether the kernel can read them."""
         addresses = [parameter.data_ptr() for parameter in parameters]
         if addresses != self.addresses:
-            if not all(parameter.is_contiguous() for parameter in parameters):
+            shapes = [parameter.shape for parameter in parameters]
+            if not all(parameter.is_contiguous() for parameter in parameters) or shapes != (self.shapes or shapes):
                 return False
+            self.shapes = shapes
             self.addresses = addresses
-            self.table[6:16] = addresses
+            self.table[7:17] = addresses
         return True
 
 
@@ -125,11 +142,10 @@ def step(plan: _Plan, x: Tensor, conv: Tensor, ssm: Tensor, starts: Tensor) -> t
     Returns:
         y (B, 1, D) and the new state.
     """
-    x, conv, ssm = x.contiguous(), conv.contiguous(), ssm.contiguous()
+    x, conv, ssm, starts = x.contiguous(), conv.contiguous(), ssm.contiguous(), starts.contiguous()
     y, conv_after, ssm_after = torch.empty_like(x), torch.empty_like(conv), torch.empty_like(ssm)
-    plan.table[:6] = [part.data_ptr() for part in (x, conv, ssm, y, conv_after, ssm_after)]
-    bits = sum(bit << row for row, (bit,) in enumerate(starts.tolist()))
-    kernels().step(plan.table, bits, x.shape[0], *plan.sizes)  # type: ignore[union-attr]
+    plan.table[:7] = [part.data_ptr() for part in (x, conv, ssm, y, conv_after, ssm_after, starts)]
+    kernels().step(plan.table, x.shape[0], *plan.sizes)  # type: ignore[union-attr]
     return y, conv_after, ssm_after
 
 

@@ -30,7 +30,18 @@ def _typed(context: Any, address: Any) -> Any:
     return types.CPointer(types.float32)(address), generate
 
 
+@intrinsic
+def _typed_flags(context: Any, address: Any) -> Any:
+    """The address of a bool as a typed pointer."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], ir.IntType(8).as_pointer())
+
+    return types.CPointer(types.uint8)(address), generate
+
+
 _pointer: Any = _typed
+_flags: Any = _typed_flags
 
 
 @summing
@@ -151,24 +162,23 @@ def _row(
 
 
 @_with_arrays
-def step(
-    table: Any, starts: Any, rows: int, width: int, inner: int, states: int, taps: int, rank: int, flags: int
-) -> None:
+def step(table: Any, rows: int, width: int, inner: int, states: int, taps: int, rank: int, flags: int) -> None:
     """`rows` frames, each of a sequence of its own, through one block.
 
     Args:
-        table: int64 addresses of x, conv, ssm, y, the new conv and ssm; of the weights of norm, in_proj, conv1d and its
-            bias, x_proj, dt_proj and its bias, A_log, D, out_proj; of work space: A_log as last seen, A, and `_row`'s.
-        starts: rows that begin an episode, as the bits of a number.
+        table: int64 addresses of x, conv, ssm, y, the new conv and ssm, starts (bool); of the weights of norm, in_proj,
+            conv1d and its bias, x_proj, dt_proj and its bias, A_log, D, out_proj; of work space: A_log as last seen, A,
+            and `_row`'s.
         flags: 1 for a norm, 2 for a residual.
     """
     x, y = carray(_pointer(table[0]), (rows, width)), carray(_pointer(table[3]), (rows, width))
+    starts = carray(_flags(table[6]), (rows,))
     past = (rows, taps - 1, inner)
     conv, conv_after = carray(_pointer(table[1]), past), carray(_pointer(table[4]), past)
     memory = (rows, states, inner)
     ssm, ssm_after = carray(_pointer(table[2]), memory), carray(_pointer(table[5]), memory)
-    A = carray(_pointer(table[17]), (states, inner))
-    _decay_rates(carray(_pointer(table[13]), (inner * states,)), carray(_pointer(table[16]), (inner * states,)), A)
+    A = carray(_pointer(table[18]), (states, inner))
+    _decay_rates(carray(_pointer(table[14]), (inner * states,)), carray(_pointer(table[17]), (inner * states,)), A)
     for row in range(rows):
         _row(
             x[row],
@@ -177,17 +187,17 @@ def step(
             y[row],
             conv_after[row],
             ssm_after[row],
-            starts >> row & 1 != 0,
-            carray(_pointer(table[6]), (width,)),
-            carray(_pointer(table[7]), (2 * inner, width)),
-            carray(_pointer(table[8]), (inner, taps)),
-            carray(_pointer(table[9]), (inner,)),
-            carray(_pointer(table[10]), (rank + 2 * states, inner)),
-            carray(_pointer(table[11]), (inner, rank)),
-            carray(_pointer(table[12]), (inner,)),
-            carray(_pointer(table[14]), (inner,)),
-            carray(_pointer(table[15]), (width, inner)),
+            starts[row] != 0,
+            carray(_pointer(table[7]), (width,)),
+            carray(_pointer(table[8]), (2 * inner, width)),
+            carray(_pointer(table[9]), (inner, taps)),
+            carray(_pointer(table[10]), (inner,)),
+            carray(_pointer(table[11]), (rank + 2 * states, inner)),
+            carray(_pointer(table[12]), (inner, rank)),
+            carray(_pointer(table[13]), (inner,)),
+            carray(_pointer(table[15]), (inner,)),
+            carray(_pointer(table[16]), (width, inner)),
             A,
-            carray(_pointer(table[18]), (5 * inner + width + rank + 2 * states,)),
+            carray(_pointer(table[19]), (5 * inner + width + rank + 2 * states,)),
             flags,
         )

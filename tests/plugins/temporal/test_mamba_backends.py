@@ -125,7 +125,7 @@ def test_extreme_step_sizes(backend: str, frames: int) -> None:
         assert all(bool(value.isfinite().all()) for value in (y, *after.values()))
 
 
-@pytest.mark.parametrize("rows", [1, 3, native.STEP_ROWS, native.STEP_ROWS + 1])
+@pytest.mark.parametrize("rows", [1, 3, 70, 128, 129])
 @pytest.mark.parametrize("keys", [{}, {"norm": False, "residual": False}])
 def test_steps_without_gradients_equal_the_torch_sequence(rows: int, keys: dict[str, bool], calls: list[str]) -> None:
     ours, torchs = make(**keys), make("torch", **keys)
@@ -140,7 +140,7 @@ def test_steps_without_gradients_equal_the_torch_sequence(rows: int, keys: dict[
             ys.append(y)
         assert gap(torch.cat(ys, 1), expected) < 1e-6
         assert all(gap(carried[name], last[name]) < 1e-6 for name in last)
-    assert set(calls) == {"step" if rows <= native.STEP_ROWS else "sequence"}
+    assert set(calls) == {"step" if rows * 16 <= native.STEP_NUMBERS else "sequence"}
 
 
 def test_windows_equal_each_window_alone() -> None:
@@ -152,6 +152,22 @@ def test_windows_equal_each_window_alone() -> None:
         for index, window in enumerate(windows):
             alone, _ = module(window[None], module.initial_state(1), none[:1])
             assert gap(together[index], alone[0]) < 1e-6
+
+
+def test_sizes_that_do_not_fit_are_refused() -> None:
+    """Before a kernel could read beyond a tensor's end."""
+    module = make()
+    x, state, starts = draw(module, 3, 1)
+    wrong: list[tuple[Tensor, Tree, Tensor]] = [
+        (x[..., :8], state, starts),
+        (x, {**state, "ssm": state["ssm"][:2]}, starts),
+        (x, {**state, "conv": state["conv"][:, :2]}, starts),
+        (x, state, starts[:2]),
+        (x, state, starts.long()),
+    ]
+    for case in wrong:
+        with torch.no_grad(), pytest.raises((ValueError, RuntimeError)):
+            module(*case)
 
 
 @BACKENDS
