@@ -22,6 +22,7 @@ LEAST = 3
 WARMUP_SECONDS = 0.2
 """A context that has taken this long is warm."""
 CEILING_SAMPLES = 10
+"""Rounds after which the ceilings are measured, at first; later every tenth of all rounds."""
 
 Progress = Callable[[str, int, int, float | None], None]
 """What is done, how much of it, of how much, and the seconds left, if known."""
@@ -123,5 +124,5 @@ def _take_turns(measured: Measured, effort: Effort, progress: Progress, stopped:
                 return
             for variant, seconds in bench.turn(due(bench)).items():
                 spent[variant] += seconds
-        if number % pause == 0:
+        if number < CEILING_SAMPLES or number % pause == 0:
             measured.ceilings.sample()

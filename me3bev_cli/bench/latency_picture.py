@@ -18,6 +18,8 @@ COLOURS = ("#2f6fb5", "#d9822b", "#4c9a5b", "#8c5fa8", "#b8434e", "#4aa3a8", "#8
 STAGE_COLOURS = dict(zip(STAGES, ("#b9c4d0", "#2f6fb5", "#d9822b", "#4c9a5b", "#8c5fa8", "#6b7280"), strict=True))
 MANY = len(COLOURS)
 """With more networks than this, lines are told apart by their temporal module alone, in a panel per spatial one."""
+BEYOND = 2.0
+"""A budget above this many times what was found would only squeeze the lines."""
 LINES: dict[str, Literal["--", "-"]] = {"window": "--", "stream": "-"}
 
 
@@ -72,7 +74,8 @@ def _panels(rows: list[Row], many: bool) -> list[Panel]:
         return [("the whole", rows, _whole), ("the temporal stage", rows, _temporal)]
     kinds = list(dict.fromkeys(row["spatial"] for row in rows))
     wholes: list[Panel] = [
-        (f"the whole, {kind}", [row for row in rows if row["spatial"] == kind], _whole) for kind in kinds
+        (f"the whole, {kind}, a line per network", [row for row in rows if row["spatial"] == kind], _whole)
+        for kind in kinds
     ]
     # That of the spatial module which gives it most to do.
     heaviest = max(wholes, key=lambda panel: max(map(_temporal, panel[1])))
@@ -91,7 +94,8 @@ def _lines(figure: Any, panels: Sequence[Panel], key: str, budget_ms: float | No
             style = {"color": colours[line[0][key]], "linestyle": LINES[kind], "linewidth": 1.4}
             axes.plot(lengths, [figure_of(row) for row in line], marker="o", markersize=3, **style)
         _context_axis(axes, rows, title)
-        if budget_ms is not None and figure_of is _whole:
+        near = budget_ms is not None and budget_ms < BEYOND * max(map(figure_of, rows))
+        if budget_ms is not None and near and figure_of is _whole:
             axes.axhline(budget_ms, color="#b8434e", linewidth=1, linestyle=":")
             axes.annotate(
                 f"budget {budget_ms:g} ms", (0.02, budget_ms), xycoords=("axes fraction", "data"), fontsize=8,
@@ -154,7 +158,7 @@ def _shares(panels: Any, rows: Sequence[Row], budget_ms: float | None) -> None:
             end, place, f"{number(row['median_ms'])} ms, {number(row['floor_ratio'])} x floor", va="center", fontsize=8
         )
         _write_shares(shares, place, [100 * row["stages"][stage] / total for stage in STAGES])
-    if budget_ms is not None and budget_ms < 1.5 * longest:
+    if budget_ms is not None and budget_ms < 1.3 * longest:
         times.axvline(budget_ms, color="#b8434e", linewidth=1, linestyle=":")
     times.set_xlim(0, 1.3 * longest)
     times.set_ylim(len(rows) - 0.4, -0.6)

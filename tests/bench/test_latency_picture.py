@@ -60,6 +60,11 @@ def test_a_line_for_each_network_and_kind(figures: list[Any]) -> None:
     assert [text.get_text() for text in shares.texts[:5]] == ["10", "60", "20", "5", "4"]
 
 
+def test_a_budget_far_away_is_not_drawn(figures: list[Any]) -> None:
+    pictures.latency_picture(sweep(["a"]), "title", 1000.0)
+    assert len(axes_of(figures[0])[0].lines) == 2
+
+
 def test_many_networks_have_a_panel_per_spatial_plugin(figures: list[Any]) -> None:
     light = sweep([f"l-{i}" for i in range(5)], spatial="light")
     heavy = sweep([f"h-{i}" for i in range(5)], spatial="heavy", temporal="lstm")
@@ -67,7 +72,11 @@ def test_many_networks_have_a_panel_per_spatial_plugin(figures: list[Any]) -> No
         found["stages"] = found["stages"] | {"temporal": 7.0}
     pictures.latency_picture(light + heavy, "title")
     titles = [axes.get_title() for axes in axes_of(figures[0])[:3]]
-    assert titles == ["the whole, light", "the whole, heavy", "the temporal stage, heavy"]
+    assert titles == [
+        "the whole, light, a line per network",
+        "the whole, heavy, a line per network",
+        "the temporal stage, heavy",
+    ]
 
 
 def test_one_context_has_no_lines(figures: list[Any]) -> None:
