@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 TIMED = "uint8 images and features in host memory -> clipped action in host memory, with the policy's memory"
 NOT_TIMED = "simulator, building the network, warm-up"
 SHARED = "contexts of a network share each frame's sensor and encoder; a stage is everything up to its result"
+KINDS = ("window", "stream", "none")
 VISIBLE_FLOOR_MS = 1e-3
 """A ratio to less than this says nothing."""
 
@@ -34,8 +35,8 @@ def preface(report: dict[str, Any]) -> list[str]:
         f"calls:     up to {setup['repeats']} per context in {setup['seconds']:g} s, after {setup['warmup']}; networks "
         f"take turns frame by frame;",
         f"           {setup['shared']}",
-        f"ceilings:  {top['multiply_flops_per_s'] / 1e9:.3g} GFLOP/s ({side} x {side} matrices), "
-        f"{top['read_bytes_per_s'] / 1e9:.3g} GB/s read ({megabytes:.0f} MiB); medians of {top['samples']}, "
+        f"ceilings:  {number(top['multiply_flops_per_s'] / 1e9)} GFLOP/s ({side} x {side} matrices), "
+        f"{number(top['read_bytes_per_s'] / 1e9)} GB/s read ({megabytes:.0f} MiB); medians of {top['samples']}, "
         "in the same turns",
     ]
 
@@ -104,7 +105,7 @@ def _stages(rows: Sequence[Row]) -> Table:
 
 
 def _contexts(rows: Sequence[Row]) -> Table:
-    keys = sorted({(row["context"], row["length"]) for row in rows}, key=lambda key: (key[0] != "window", *key))
+    keys = sorted({(row["context"], row["length"]) for row in rows}, key=lambda key: (KINDS.index(key[0]), key[1]))
     table = _table("network", [f"{kind}\n{length}" for kind, length in keys])
     by_name: dict[str, dict[tuple[str, int], Row]] = {}
     for row in rows:
