@@ -32,7 +32,9 @@ ALLOCATOR = {
 }
 SHORT, LONG = 4, 1024
 """Frames of the two contexts."""
-STEPS_PER_TURN = 50
+STEPS_PER_TURN = 20
+TURNS_PER_ROUND = 5
+"""Of steps, which are much shorter than a training pass."""
 WARMUP = 2
 
 Times = dict[str, list[float]]
@@ -56,10 +58,15 @@ RATIOS = {
 
 
 def take_turns(contestants: Mapping[str, Callable[[], Any]], times: Times, repeats: int) -> None:
-    """Each in turn, `repeats` calls at a time, seconds per call; another begins each time."""
+    """Each in turn, `repeats` calls at a time, seconds per call; another begins each time.
+
+    Where calls are short, one more goes before, so that none pays for what the caches held of its predecessor.
+    """
     names = list(contestants)
     done = len(times.setdefault(names[0], []))
     for name in (*names[done % len(names) :], *names[: done % len(names)]):
+        if repeats > 1:
+            contestants[name]()
         begun = time.perf_counter()
         for _ in range(repeats):
             contestants[name]()
@@ -67,12 +74,18 @@ def take_turns(contestants: Mapping[str, Callable[[], Any]], times: Times, repea
 
 
 def ratios(times: Mapping[str, Times]) -> dict[str, float]:
-    """Each of `RATIOS` whose two were measured: the median over the turns of their quotient in one turn."""
+    """Each of `RATIOS` whose two were measured: the median over the turns of their quotient in one turn.
+
+    What did not take turns with each other (a window and the steps) is compared by its medians.
+    """
     found = {}
     for key, (group, above, below, _, _) in RATIOS.items():
         if {above, below} <= times[group].keys():
-            pairs = zip(times[group][above], times[group][below], strict=True)
-            found[key] = _median([a / b for a, b in pairs])
+            slow, fast = times[group][above], times[group][below]
+            if len(slow) == len(fast):
+                found[key] = _median([a / b for a, b in zip(slow, fast, strict=True)])
+            else:
+                found[key] = _median(slow) / _median(fast)
     return found
 
 
@@ -90,20 +103,17 @@ def measure(width: int, rounds: int) -> dict[str, Any]:
     from me3bev_cli.bench.temporal_contestants import contexts, steps, trainings
 
     torch.set_num_threads(1)
-    groups = {"step": (steps(width), STEPS_PER_TURN), "train": (trainings(width), 1)}
-    groups["context"] = (contexts(width, SHORT, LONG), 1)
-    times: dict[str, Times] = {name: {} for name in groups}
+    streams, batches, long = steps(width), trainings(width), contexts(width, SHORT, LONG)
+    window = {"transformer_window": long.pop("transformer_window")}
+    times: dict[str, Times] = {}
     for turn in range(WARMUP + rounds):
-        if turn == WARMUP:
-            times = {name: {} for name in groups}
-        for name, (contestants, repeats) in groups.items():
-            if name == "context":
-                # Steps are much shorter than the window that they are compared with.
-                steps_only = {key: call for key, call in contestants.items() if key != "transformer_window"}
-                take_turns(steps_only, times[name], STEPS_PER_TURN)
-                take_turns({"transformer_window": contestants["transformer_window"]}, times[name], 1)
-            else:
-                take_turns(contestants, times[name], repeats)
+        if turn in (0, WARMUP):
+            times = {"step": {}, "train": {}, "context": {}}
+        for _ in range(TURNS_PER_ROUND):
+            take_turns(streams, times["step"], STEPS_PER_TURN)
+            take_turns(long, times["context"], STEPS_PER_TURN)
+        take_turns(batches, times["train"], 1)
+        take_turns(window, times["context"], 1)
     return {
         "ratios": ratios(times),
         "targets": {key: row[4] for key, row in RATIOS.items()},
