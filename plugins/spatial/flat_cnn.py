@@ -6,7 +6,7 @@ from pydantic import Field, PositiveInt
 from torch import Tensor, nn
 
 from me3bev_cli.api import Calibration, Rig, SpatialOutput, TokenSpec
-from me3bev_plugins.spatial.precision import ComputeConfig, computing, laid_out
+from me3bev_plugins.spatial.precision import ComputeConfig, arrange, computing, laid_out
 from me3bev_plugins.spatial.trunks import Trunk, check_trunk
 
 
@@ -31,6 +31,7 @@ class FlatCNN(nn.Module):
         self.cameras = len(rig.cameras)
         self.trunk = Trunk(config.trunk, pretrained=config.pretrained)
         self.linear = nn.Linear(self.cameras * self.trunk.channels, config.width)
+        arrange(self, config.channels_last)
 
     @classmethod
     def output_spec(cls, config: Config, rig: Rig) -> TokenSpec:

@@ -13,7 +13,7 @@ from me3bev_plugins.spatial.bev_trunk import BEVTrunk
 from me3bev_plugins.spatial.frustum import Grid, cells_of, depth_edges, feature_size, frame_cells, frustum
 from me3bev_plugins.spatial.frustum import calibration as rig_calibration
 from me3bev_plugins.spatial.ground import GroundIndex, find_ground, ground_index, ranks, warp
-from me3bev_plugins.spatial.precision import ComputeConfig, computing, laid_out, unhalved
+from me3bev_plugins.spatial.precision import ComputeConfig, arrange, computing, laid_out, unhalved
 from me3bev_plugins.spatial.splat import SplatIndex, build_index, splat
 from me3bev_plugins.spatial.trunks import Trunk, check_trunk
 
@@ -98,6 +98,7 @@ class LiftSplat(nn.Module):
         edges = depth_edges(*config.depth_range, config.depth_bins)
         self.register_buffer("depth_edges", edges.float(), persistent=False)
         self._keep_tables()
+        arrange(self, config.channels_last)
 
     @classmethod
     def output_spec(cls, config: Config, rig: Rig) -> TokenSpec:

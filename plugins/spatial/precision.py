@@ -11,7 +11,7 @@ from typing import Literal
 
 import torch
 from pydantic import Field
-from torch import Tensor
+from torch import Tensor, nn
 
 from me3bev_cli.api import PluginConfig
 
@@ -34,6 +34,12 @@ def laid_out(images: Tensor, channels_last: bool | str) -> Tensor:
     """Images (M, 3, H, W) in the memory order that the configuration asks for; the layers after them keep it."""
     chosen = images.device.type in ("cpu", "cuda", "meta") if channels_last == "auto" else channels_last
     return images.contiguous(memory_format=torch.channels_last if chosen else torch.contiguous_format)
+
+
+def arrange(module: nn.Module, channels_last: bool | str) -> None:
+    """Keep the convolutions' weights in the order of the images, in place: torch would reorder them at every call."""
+    if channels_last:
+        module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def computing(precision: Precision, device: torch.device) -> AbstractContextManager[None]:

@@ -64,6 +64,20 @@ def test_the_order_in_memory_changes_nothing(cls: Any, keys: dict[str, Any]) -> 
     torch.testing.assert_close(make(cls, keys)(images).tokens, first.tokens)
 
 
+@pytest.mark.parametrize(("cls", "keys"), KINDS)
+def test_weights_are_in_the_order_of_the_images(cls: Any, keys: dict[str, Any]) -> None:
+    """And go to a file and back as ever."""
+    module = make(cls, keys)
+    kernels = [p for p in module.parameters() if p.ndim == 4 and p.shape[1] > 1 and p.shape[-1] > 1]
+    assert kernels
+    assert all(p.is_contiguous(memory_format=torch.channels_last) and not p.is_contiguous() for p in kernels)
+    plain = make(cls, keys | {"channels_last": False})
+    assert all(p.is_contiguous() for p in plain.parameters())
+    plain.load_state_dict({name: value.contiguous() for name, value in module.state_dict().items()})
+    images = torch.randn(1, 6, 3, 64, 96)
+    torch.testing.assert_close(plain(images).tokens, module(images).tokens, rtol=1e-4, atol=1e-5)
+
+
 def test_the_plain_order_is_kept_where_it_is_asked_for() -> None:
     images = torch.randn(2, 3, 8, 8)
     assert precision.laid_out(images, False).is_contiguous()
