@@ -125,6 +125,23 @@ def test_extreme_step_sizes(backend: str, frames: int) -> None:
         assert all(bool(value.isfinite().all()) for value in (y, *after.values()))
 
 
+@BACKENDS
+@pytest.mark.parametrize("lost", [float("nan"), float("inf")])
+def test_a_lost_memory_does_not_outlive_a_start(backend: str, lost: float) -> None:
+    module = make(backend)
+    x, _, starts = draw(module, 2, 4, 0.0)
+    starts[:, 0] = True
+    empty = module.initial_state(2)
+    broken = {name: torch.full_like(leaf, lost) for name, leaf in empty.items()}
+    parameters = dict(module.named_parameters())
+    expected = outputs_and_gradients(lambda x, s: module(x, s, starts), x, empty, parameters)
+    given = outputs_and_gradients(lambda x, s: module(x, s, starts), x, broken, parameters)
+    assert all(torch.equal(given[name], expected[name]) for name in expected)
+    with torch.no_grad():
+        y, after = module(x[:, :1], broken, starts[:, :1])
+    assert all(bool(value.isfinite().all()) for value in (y, *after.values()))
+
+
 @pytest.mark.parametrize("rows", [1, 3, 70, 128, 129])
 @pytest.mark.parametrize("keys", [{}, {"norm": False, "residual": False}])
 def test_steps_without_gradients_equal_the_torch_sequence(rows: int, keys: dict[str, bool], calls: list[str]) -> None:
