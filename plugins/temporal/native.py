@@ -144,8 +144,10 @@ def step(plan: _Plan, x: Tensor, conv: Tensor, ssm: Tensor, starts: Tensor) -> t
     """
     x, conv, ssm, starts = x.contiguous(), conv.contiguous(), ssm.contiguous(), starts.contiguous()
     y, conv_after, ssm_after = torch.empty_like(x), torch.empty_like(conv), torch.empty_like(ssm)
-    plan.table[:7] = [part.data_ptr() for part in (x, conv, ssm, y, conv_after, ssm_after, starts)]
-    kernels().step(plan.table, x.shape[0], *plan.sizes)  # type: ignore[union-attr]
+    # A copy, since another thread may be between these lines; the work space is safe, as kernels hold the interpreter.
+    table = plan.table.copy()
+    table[:7] = [part.data_ptr() for part in (x, conv, ssm, y, conv_after, ssm_after, starts)]
+    kernels().step(table, x.shape[0], *plan.sizes)  # type: ignore[union-attr]
     return y, conv_after, ssm_after
 
 

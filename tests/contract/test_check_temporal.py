@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from me3bev_cli import registry
 from me3bev_cli.api import NoConfig, PluginConfig
 from me3bev_cli.errors import PluginError
 from me3bev_cli.testing import check_plugin
@@ -75,6 +76,21 @@ class BreaksInLargeBatches(Average):
 
 def test_a_correct_memory_passes() -> None:
     check_plugin("temporal", Average)
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [
+        ("mamba", {"backend": "torch"}),
+        ("mamba", {"backend": "native", "d_state": 5, "d_conv": 2}),
+        ("gru", {"layers": 2, "hidden": 20}),
+        ("lstm", {"layers": 2}),
+        ("transformer", {"context": 3}),
+        ("transformer", {"context": 1}),
+    ],
+)
+def test_built_in_memories_keep_the_contract_in_other_sizes_too(name: str, keys: dict[str, Any]) -> None:
+    check_plugin("temporal", registry.load("temporal", name), keys, width=24)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -220,6 +221,24 @@ def test_changed_weights_are_seen_however_they_changed(backend: str) -> None:
     assert right(module)
     module.in_proj.weight = torch.nn.Parameter(torch.randn(16, 64).t())
     assert right(module)
+
+
+def test_threads_that_share_a_module_do_not_mix() -> None:
+    module = make(width=64)
+    cases = [draw(module, 1, 200, 0.1) for _ in range(4)]
+
+    def drive(case: tuple[Tensor, Tree, Tensor]) -> Tensor:
+        x, state, starts = case
+        ys = []
+        with torch.no_grad():
+            for t in range(x.shape[1]):
+                y, state = module(x[:, t : t + 1], state, starts[:, t : t + 1])
+                ys.append(y)
+        return torch.cat(ys, 1)
+
+    expected = [drive(case) for case in cases]
+    with ThreadPoolExecutor(4) as pool:
+        assert all(torch.equal(a, b) for a, b in zip(pool.map(drive, cases), expected, strict=True))
 
 
 def test_the_same_input_gives_the_same_bytes() -> None:
