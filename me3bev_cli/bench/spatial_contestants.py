@@ -122,6 +122,7 @@ class Steps:
         self.contestants: Contestants = {
             "step": _step(network, recipe),
             "step_encoding_anew": _anew(slow, recipe, self.length),
+            "step_encoding_anew_singly": _anew_singly(slow, recipe, self.length),
             "step_resnet": _step(other, resnet),
         }
         self.flops = {
@@ -226,6 +227,21 @@ def _anew(network: Network, recipe: Recipe, length: int) -> Callable[[], Any]:
     @torch.inference_mode()
     def step() -> Any:
         return network.evaluate(frames, None, clear).actions.mode()
+
+    return step
+
+
+def _anew_singly(network: Network, recipe: Recipe, length: int) -> Callable[[], Any]:
+    """As `_anew`, frame by frame: smaller tensors can stay in caches, so that this can be the faster way."""
+    frames = to_tensors(random_observation(recipe, length), CPU)
+    clear = torch.zeros(1, length, dtype=torch.bool)
+
+    @torch.inference_mode()
+    def step() -> Any:
+        parts = [network.encode({key: part[n : n + 1] for key, part in frames.items()}) for n in range(length)]
+        window = {name: torch.stack([part[name] for part in parts], dim=1) for name in parts[0]}
+        latents = network.memory.sequence(window, None, clear)
+        return network.decide({name: y.flatten(0, 1) for name, y in latents.items()}).actions.mode()
 
     return step
 

@@ -71,6 +71,8 @@ def test_steps_count_their_operations() -> None:
     assert steps.length == 4
     assert steps.flops["step"] == steps.flops["step_resnet"] > 0
     assert {run().shape for run in steps.contestants.values()} == {(1, 2)}
+    together, singly = (steps.contestants[f"step_encoding_anew{way}"]() for way in ("", "_singly"))
+    torch.testing.assert_close(singly, together, rtol=1e-4, atol=1e-5)
 
 
 def test_encoders_differ_only_in_how_they_compute() -> None:
