@@ -80,3 +80,14 @@ def lift_splat(
     empty = context.new_zeros(frames, context.shape[2])
     grid = [torch.stack([sums.get((row, column), empty) for column in range(columns)], -1) for row in range(rows)]
     return torch.stack(grid, -2)
+
+
+def assert_same(grid: Tensor, expected: Tensor, inputs: tuple[Tensor, ...]) -> None:
+    """Two float64 grids made from the same inputs have the same values and gradients, and are not empty."""
+    assert expected.abs().max() > 0.1
+    torch.testing.assert_close(grid, expected, rtol=1e-9, atol=1e-12)
+    weights = torch.randn(grid.shape, dtype=torch.float64)
+    given = torch.autograd.grad((grid * weights).sum(), inputs)
+    right = torch.autograd.grad((expected * weights).sum(), inputs)
+    for mine, theirs in zip(given, right, strict=True):
+        torch.testing.assert_close(mine, theirs, rtol=1e-9, atol=1e-12)

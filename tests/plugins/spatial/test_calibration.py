@@ -80,13 +80,7 @@ def test_jittered_calibration_equals_the_lifted_tensor(cameras: int) -> None:
         for n, rig in enumerate(rigs)
     ]
     expected = torch.cat(frames).flatten(2).transpose(1, 2)
-    assert expected.abs().max() > 0.1
-    torch.testing.assert_close(grid, expected, rtol=1e-9, atol=1e-12)
-    weights = torch.randn(grid.shape, dtype=torch.float64)
-    given = torch.autograd.grad((grid * weights).sum(), (probability, context))
-    right = torch.autograd.grad((expected * weights).sum(), (probability, context))
-    for mine, theirs in zip(given, right, strict=True):
-        torch.testing.assert_close(mine, theirs, rtol=1e-9, atol=1e-12)
+    naive.assert_same(grid, expected, (probability, context))
 
 
 def test_float32_within_1e_5() -> None:
