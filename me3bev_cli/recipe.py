@@ -9,36 +9,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetJsonSchemaHandler, model_validator
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from me3bev_cli.api import ObservationConfig
+from me3bev_cli.recipe_base import Block, Names, Width
+from me3bev_cli.recipe_stages import SimulatedStage, Stage
 
 MODALITIES = ("bev", "vr", "nav")
 """The modalities in the order in which fusion takes them."""
 
 Modality = Literal["bev", "vr", "nav"]
-Width = Annotated[int, Field(gt=0, le=65536)]
-
-
-def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"names '{name}' twice")
-    return names
-
-
-Names = Annotated[
-    tuple[str, ...], Field(min_length=1, json_schema_extra={"uniqueItems": True}), AfterValidator(_each_once)
-]
-"""A set of names, written as a list."""
-
-
-class Block(BaseModel):
-    """Base of the schema: unknown keys are refused, values do not change, numbers are finite."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class PluginChoice(BaseModel):
@@ -114,79 +94,6 @@ class Policy(Block):
     initial_log_std: float = Field(default=-1.0, ge=-10, le=3, description="gaussian: log of the deviation at first")
 
 
-class LearningRate(Block):
-    """Step decay in environment steps of the stage; a plain number stays constant."""
-
-    initial: float = Field(gt=0, le=1)
-    drop: float = Field(default=1.0, gt=0, le=1, description="factor applied after every `every` steps")
-    every: int = Field(default=100_000, gt=0, description="environment steps")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _plain_number(cls, data: Any) -> Any:
-        if isinstance(data, int | float) and not isinstance(data, bool):
-            return {"initial": data}
-        return data
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        full = handler(schema)
-        handler.resolve_ref_schema(full)
-        return {"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 1}, full]}
-
-    def at(self, step: int) -> float:
-        """The rate after `step` environment steps of the stage."""
-        return self.initial * self.drop ** (step // self.every)
-
-
-class PpoStage(Block):
-    """Proximal policy optimisation in the simulator."""
-
-    kind: Literal["ppo"]
-    steps: int = Field(gt=0, description="environment steps")
-    map: str | None = Field(default=None, description="instead of the simulator block's")
-    density: str | None = Field(default=None, description="instead of the simulator block's")
-    weather: Names | None = Field(default=None, description="instead of the weather block's training set")
-    simulator: dict[str, Any] = Field(default={}, description="the simulator's own keys that differ in this stage")
-    envs: int = Field(default=4, ge=1, le=256, description="environments side by side")
-    workers: int | None = Field(
-        default=None, ge=1, le=256, description="processes for them, at most envs; 1: this one; null: one per core"
-    )
-    rollout: int = Field(default=256, ge=2, description="steps per environment between two updates")
-    segment: int = Field(default=16, ge=1, description="contiguous frames that are learned from together")
-    minibatch: int = Field(default=128, ge=1, description="frames per gradient step; a multiple of segment")
-    epochs: int = Field(default=4, ge=1, le=100, description="passes over a rollout")
-    learning_rate: LearningRate = LearningRate(initial=3e-4)
-    gamma: float = Field(default=0.99, gt=0, le=1)
-    gae_lambda: float = Field(default=0.95, ge=0, le=1)
-    clip: float = Field(default=0.2, gt=0, lt=1)
-    entropy: float = Field(default=0.0, ge=0, description="weight of the entropy bonus")
-    value: float = Field(default=0.5, ge=0, description="weight of the value loss")
-    max_grad_norm: float = Field(default=0.5, gt=0)
-    target_kl: float | None = Field(default=None, gt=0, description="an update stops early beyond 1.5 times this")
-    normalise_advantage: bool = True
-    reward_scale: float = Field(default=1.0, gt=0, description="applied to what is learned from, not to what is shown")
-    freeze: tuple[Literal["spatial", "encoders", "temporal", "fusion"], ...] = Field(
-        default=(), description="parts that do not learn in this stage"
-    )
-    checkpoint_every: int = Field(default=20_000, gt=0, description="environment steps")
-
-    @model_validator(mode="after")
-    def _sizes_fit(self) -> PpoStage:
-        frames = self.envs * self.rollout
-        if self.rollout % self.segment:
-            raise ValueError(f"rollout {self.rollout} is not a multiple of segment {self.segment}")
-        if self.minibatch % self.segment:
-            raise ValueError(f"minibatch {self.minibatch} is not a multiple of segment {self.segment}")
-        if self.minibatch > frames:
-            raise ValueError(f"minibatch {self.minibatch} is more than envs x rollout = {frames} frames")
-        return self
-
-
-Stage = PpoStage
-"""What `stages` holds, told apart by `kind`; a second kind makes this a union discriminated by `kind`."""
-
-
 class Recipe(Block):
     """A driving policy and how it is trained."""
 
@@ -213,11 +120,11 @@ class Recipe(Block):
             raise ValueError("modalities hold bev but there is no spatial plugin")
         return self
 
-    def simulator_in(self, stage: Stage) -> SimulatorChoice:
+    def simulator_in(self, stage: SimulatedStage) -> SimulatorChoice:
         """The simulator block as it stands in a stage."""
         place = {"map": stage.map or self.simulator.map, "density": stage.density or self.simulator.density}
         return SimulatorChoice.model_validate(self.simulator.model_dump() | stage.simulator | place)
 
-    def weather_in(self, stage: Stage) -> tuple[str, ...] | None:
+    def weather_in(self, stage: SimulatedStage) -> tuple[str, ...] | None:
         """The kinds of weather that a stage's episodes draw from; None: the simulator's default one."""
         return stage.weather or self.weather.training

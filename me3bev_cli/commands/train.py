@@ -51,9 +51,8 @@ def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None
     from me3bev_cli.recipe_loading import dump
     from me3bev_cli.stopping import Stop
     from me3bev_cli.training.display import Display
-    from me3bev_cli.training.loop import Trainer
-    from me3bev_cli.training.monitor import InterruptedTrainingError
     from me3bev_cli.training.run import is_run, make_run
+    from me3bev_cli.training.trainer import InterruptedTrainingError, Trainer
 
     if threads is not None:
         torch.set_num_threads(threads)

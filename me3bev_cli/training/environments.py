@@ -12,10 +12,11 @@ from me3bev_cli.training.episodes import EpisodeMaker
 from me3bev_cli.workers import cores
 
 if TYPE_CHECKING:
-    from me3bev_cli.recipe import PpoStage, Recipe
+    from me3bev_cli.recipe import Recipe
+    from me3bev_cli.recipe_stages import SimulatedStage
 
 
-def make_environments(recipe: Recipe, stage: PpoStage, first_episode: int = 0) -> VecEnv:
+def make_environments(recipe: Recipe, stage: SimulatedStage, first_episode: int = 0) -> VecEnv:
     """The stage's environments: in worker processes, or one after another in this one when there is one worker.
 
     What they play does not depend on the number of workers.

@@ -8,9 +8,10 @@ import pytest
 from plugin_fakes import RECIPE, entry, every
 
 from me3bev_cli.errors import RecipeError
-from me3bev_cli.recipe import PpoStage, Recipe
+from me3bev_cli.recipe import Recipe
 from me3bev_cli.recipe_check import check_recipe
 from me3bev_cli.recipe_loading import resolve_recipe, shipped_recipes
+from me3bev_cli.recipe_stages import PpoStage
 
 Write = Callable[..., str]
 

@@ -21,9 +21,8 @@ from me3bev_cli.training.checkpoint import WEIGHTS, checkpoints, find_checkpoint
 from me3bev_cli.training.curve import read_metrics
 from me3bev_cli.training.display import Display
 from me3bev_cli.training.environments import make_environments
-from me3bev_cli.training.loop import Trainer
-from me3bev_cli.training.monitor import InterruptedTrainingError
 from me3bev_cli.training.run import choose_run, make_run, newest_run, open_run
+from me3bev_cli.training.trainer import InterruptedTrainingError, Trainer
 
 
 def trainer(path: Path, run: Path, *overrides: str) -> Trainer:
@@ -125,14 +124,14 @@ def test_two_stages_run_in_order_and_frozen_parts_stay(line_recipe: Path, tmp_pa
     frozen = trainer(line_recipe, run, f"stages=[{stage}, map: F2, freeze: [spatial]}}, {stage}, freeze: [temporal]}}]")
     before = {key: value.clone() for key, value in frozen.network.state_dict().items()}
     spatial_after_first: dict[str, torch.Tensor] = {}
-    ppo = frozen._ppo
+    save = frozen.save
 
-    def watched(stage: object) -> None:
-        ppo(stage)  # type: ignore[arg-type]
+    def watched(state: dict[str, Any]) -> Path:
         if not spatial_after_first:
             spatial_after_first.update({k: v.clone() for k, v in frozen.network.spatial.state_dict().items()})  # type: ignore[union-attr]
+        return save(state)
 
-    frozen._ppo = watched  # type: ignore[method-assign]
+    frozen.save = watched  # type: ignore[method-assign]
     frozen.train()
     assert all(torch.equal(value, before[f"spatial.{key}"]) for key, value in spatial_after_first.items())
     after = frozen.network.state_dict()

@@ -1,0 +1,89 @@
+"""The stages of a recipe: what is learned, where, for how long. They run in order."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field, GetJsonSchemaHandler, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
+
+from me3bev_cli.recipe_base import Block, Names
+
+
+class LearningRate(Block):
+    """Step decay in environment steps of the stage; a plain number stays constant."""
+
+    initial: float = Field(gt=0, le=1)
+    drop: float = Field(default=1.0, gt=0, le=1, description="factor applied after every `every` steps")
+    every: int = Field(default=100_000, gt=0, description="environment steps")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plain_number(cls, data: Any) -> Any:
+        if isinstance(data, int | float) and not isinstance(data, bool):
+            return {"initial": data}
+        return data
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        full = handler(schema)
+        handler.resolve_ref_schema(full)
+        return {"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 1}, full]}
+
+    def at(self, step: int) -> float:
+        """The rate after `step` environment steps of the stage."""
+        return self.initial * self.drop ** (step // self.every)
+
+
+class SimulatedStage(Block):
+    """What all stages share: where they take place, how long, what learns and how fast."""
+
+    steps: int = Field(gt=0, description="environment steps")
+    map: str | None = Field(default=None, description="instead of the simulator block's")
+    density: str | None = Field(default=None, description="instead of the simulator block's")
+    weather: Names | None = Field(default=None, description="instead of the weather block's training set")
+    simulator: dict[str, Any] = Field(default={}, description="the simulator's own keys that differ in this stage")
+    envs: int = Field(default=4, ge=1, le=256, description="environments side by side")
+    workers: int | None = Field(
+        default=None, ge=1, le=256, description="processes for them, at most envs; 1: this one; null: one per core"
+    )
+    learning_rate: LearningRate = LearningRate(initial=3e-4)
+    freeze: tuple[Literal["spatial", "encoders", "temporal", "fusion"], ...] = Field(
+        default=(), description="parts that do not learn in this stage"
+    )
+    checkpoint_every: int = Field(default=20_000, gt=0, description="environment steps")
+
+
+class PpoStage(SimulatedStage):
+    """Proximal policy optimisation in the simulator."""
+
+    kind: Literal["ppo"]
+    rollout: int = Field(default=256, ge=2, description="steps per environment between two updates")
+    segment: int = Field(default=16, ge=1, description="contiguous frames that are learned from together")
+    minibatch: int = Field(default=128, ge=1, description="frames per gradient step; a multiple of segment")
+    epochs: int = Field(default=4, ge=1, le=100, description="passes over a rollout")
+    gamma: float = Field(default=0.99, gt=0, le=1)
+    gae_lambda: float = Field(default=0.95, ge=0, le=1)
+    clip: float = Field(default=0.2, gt=0, lt=1)
+    entropy: float = Field(default=0.0, ge=0, description="weight of the entropy bonus")
+    value: float = Field(default=0.5, ge=0, description="weight of the value loss")
+    max_grad_norm: float = Field(default=0.5, gt=0)
+    target_kl: float | None = Field(default=None, gt=0, description="an update stops early beyond 1.5 times this")
+    normalise_advantage: bool = True
+    reward_scale: float = Field(default=1.0, gt=0, description="applied to what is learned from, not to what is shown")
+
+    @model_validator(mode="after")
+    def _sizes_fit(self) -> PpoStage:
+        frames = self.envs * self.rollout
+        if self.rollout % self.segment:
+            raise ValueError(f"rollout {self.rollout} is not a multiple of segment {self.segment}")
+        if self.minibatch % self.segment:
+            raise ValueError(f"minibatch {self.minibatch} is not a multiple of segment {self.segment}")
+        if self.minibatch > frames:
+            raise ValueError(f"minibatch {self.minibatch} is more than envs x rollout = {frames} frames")
+        return self
+
+
+Stage = PpoStage
+"""What `stages` holds, told apart by `kind`; a second kind makes this a union discriminated by `kind`."""
