@@ -17,6 +17,7 @@ from me3bev_plugins.temporal import native
 from me3bev_plugins.temporal.scan import cleared, scan_step, selective_scan
 
 Memory = dict[str, Tensor]
+_EPSILON = 1e-5
 
 
 class Mamba(nn.Module):
@@ -59,7 +60,7 @@ class Mamba(nn.Module):
         self.inner = inner
         self._kept_rates: tuple[Tensor, Tensor] | None = None
         self.rank = math.ceil(width / 16) if config.dt_rank == "auto" else config.dt_rank
-        self.norm = nn.RMSNorm(width, eps=1e-5) if config.norm else nn.Identity()
+        self.norm = nn.RMSNorm(width, eps=_EPSILON) if config.norm else nn.Identity()
         self.in_proj = nn.Linear(width, 2 * inner, bias=False)
         self.conv1d = _Kernel(inner, config.d_conv)
         self.x_proj = nn.Linear(inner, self.rank + 2 * states, bias=False)
@@ -102,12 +103,10 @@ class Mamba(nn.Module):
         """x (B, T, D), starts (B, T) bool -> y (B, T, D) and the state after the last frame."""
         if self.config.backend != "torch" and native.suits(x, self.D, state["conv"], state["ssm"]):
             return self._native(x, state, starts)
-        normed = self.norm(x.to(self.D.dtype))
+        x = x.to(self.D.dtype)
         if x.shape[1] == 1 and not torch.is_grad_enabled() and not _autocast(x.device.type):
-            y, state = self._step(normed[:, 0], state, starts[:, 0])
-            y = y.unsqueeze(1)
-        else:
-            y, state = self._sequence(normed, state, starts)
+            return self._step(x[:, 0], state, starts[:, 0])
+        y, state = self._sequence(self.norm(x), state, starts)
         return (x + y if self.config.residual else y), state
 
     def _native(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
@@ -149,19 +148,33 @@ class Mamba(nn.Module):
         return self.out_proj(y), {"conv": conv, "ssm": ssm}
 
     def _step(self, x: Tensor, state: Memory, starts: Tensor) -> tuple[Tensor, Memory]:
-        """One frame without gradients, x (B, D): the same arithmetic in as few operations as possible."""
-        weights, states = self._weights(), self.config.d_state
+        """One frame without gradients, x (B, D), norm and residual included, in as few operations as possible.
+
+        At this size an operation costs as much as its arithmetic; torch's own norm is eight of them on a CPU.
+        """
+        weights, rank, states = self._weights(), self.rank, self.config.d_state
         conv, ssm = state["conv"], state["ssm"]
-        if starts.device.type != "cpu" or bool(starts.any()):
+        if not starts.is_cpu or True in starts.tolist():
             conv, ssm = (part.masked_fill(starts[:, None, None], 0.0) for part in (conv, ssm))
-        inner, gate = F.linear(x, weights.in_proj).chunk(2, dim=-1)
-        taps = torch.cat([conv, inner.unsqueeze(1)], dim=1)
-        inner = F.silu((taps * weights.conv_weight[:, 0].T).sum(1).add_(weights.conv_bias), inplace=True)
-        step, B, C = F.linear(inner, weights.x_proj).split([self.rank, states, states], dim=-1)
-        delta = F.softplus(F.linear(step, weights.dt_proj, weights.dt_bias))
-        y, ssm = scan_step(inner, delta, self._rates(), B, C, ssm)
-        y = torch.addcmul(y, weights.D, inner).mul_(F.silu(gate))
-        return F.linear(y, weights.out_proj), {"conv": taps[:, 1:], "ssm": ssm}
+        both = F.linear(self._normed(x), weights.in_proj)
+        taps = torch.cat([conv, both[:, None, : self.inner]], dim=1)
+        u = (taps * weights.conv_weight.permute(1, 2, 0)).sum(1).add_(weights.conv_bias)
+        u = F.silu(u, inplace=True)
+        selected = F.linear(u, weights.x_proj)
+        delta = F.softplus(F.linear(selected[:, :rank], weights.dt_proj, weights.dt_bias))
+        B, C = selected[:, rank : rank + states], selected[:, rank + states :]
+        y, ssm = scan_step(u, delta, self._rates(), B, C, ssm)
+        y.addcmul_(weights.D, u).mul_(F.silu(both[:, self.inner :]))
+        y = F.linear(y, weights.out_proj)
+        y = y.add_(x) if self.config.residual else y
+        return y[:, None], {"conv": taps[:, 1:], "ssm": ssm}
+
+    def _normed(self, x: Tensor) -> Tensor:
+        """`norm` of x (B, D)."""
+        if not isinstance(self.norm, nn.RMSNorm):
+            return x
+        scale = (x * x).sum(-1, keepdim=True).mul_(1 / self.width).add_(_EPSILON).rsqrt_()
+        return scale.mul(x).mul_(self.norm.weight)
 
     def _rates(self) -> Tensor:
         """A (N, E); on a CPU kept from the last frame, since comparing A_log costs less than its exponential."""

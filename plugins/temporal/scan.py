@@ -66,8 +66,9 @@ def cleared(state: Tensor, starts: Tensor) -> Tensor:
 
 def scan_step(x: Tensor, delta: Tensor, A: Tensor, B: Tensor, C: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
     """One frame of `selective_scan` without gradients and starts: x, delta (B, E), B, C (B, N)."""
-    state = (delta[:, None, :] * A).exp_().mul_(state)
-    state.baddbmm_(B[:, :, None], (delta * x)[:, None, :])
+    delta, x = delta[:, None, :], x[:, None, :]
+    state = (delta * A).exp_().mul_(state)
+    state.baddbmm_(B[:, :, None], delta * x)
     return torch.bmm(C[:, None, :], state)[:, 0], state
 
 
