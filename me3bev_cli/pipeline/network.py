@@ -126,7 +126,11 @@ class Network(nn.Module):
         P = `prefix` frames come before the L that are judged. Each frame is encoded once (design: encode once,
         window many); gradients equal those of stacked observations.
         """
+        return self.decide(self.segment_latents(observation, state, starts))
+
+    def segment_latents(self, observation: Mapping[str, Tensor], state: Any, starts: Tensor) -> Embeddings:
+        """As `evaluate`, but the latents u of each modality (B L, K, D), before they are fused."""
         embeddings = self.encode(observation)
         shaped = {name: e.reshape(*starts.shape, *e.shape[1:]) for name, e in embeddings.items()}
         latents = self.memory.sequence(shaped, state, starts)
-        return self.decide({name: y.flatten(0, 1) for name, y in latents.items()})
+        return {name: y.flatten(0, 1) for name, y in latents.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,9 @@ class SeededEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self.env.reset(seed=episode_seed, options=options)
 
 
+Wrapping = Callable[[gymnasium.Env[Any, Any]], gymnasium.Env[Any, Any]]
+
+
 @dataclass(frozen=True)
 class EpisodeMaker:
     """Makes one of a stage's environments, here or in a worker process.
@@ -46,10 +50,13 @@ class EpisodeMaker:
     """Index of the first episode."""
     stride: int
     """From there to the next one."""
+    around: Wrapping | None = None
+    """Wraps the environment once more."""
 
     def __call__(self) -> gymnasium.Env[Any, Any]:
         env = self.simulator.make_env(
             self.observation, map=self.map, density=self.density, weather=self.weather, images=self.images
         )
         seeded = SeededEpisodes(env, (self.run_seed, self.map, self.density), self.first, self.stride)
-        return RecordEpisodeStatistics(seeded)
+        recorded = RecordEpisodeStatistics(seeded)
+        return self.around(recorded) if self.around is not None else recorded
