@@ -118,14 +118,22 @@ def _context_axis(axes: Axes, rows: Sequence[Row], title: str) -> None:
     axes.set_xticks(lengths, [str(length) for length in lengths])
     axes.minorticks_off()
     low, high = axes.get_ylim()
-    ticks = [m * 10.0**e for e in range(-4, 6) for m in (1, 2, 5) if low <= m * 10.0**e <= high]
-    axes.set_yticks(ticks if len(ticks) <= 9 else [t for t in ticks if f"{t:.6e}".startswith("1")])
+    axes.set_yticks(_ticks(low, high))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_title(title, fontsize=10)
     axes.set_xlabel("context, frames", fontsize=9)
     axes.set_ylabel("median, ms", fontsize=9)
     _plain(axes, "both")
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers of a logarithmic axis: the closest set of at most nine."""
+    for steps in ((1, 1.5, 2, 3, 4, 5, 7), (1, 2, 5), (1,)):
+        found = [m * 10.0**e for e in range(-4, 6) for m in steps if low <= m * 10.0**e <= high]
+        if len(found) <= 9:
+            break
+    return found
 
 
 def _plain(axes: Any, grid: str) -> None:
