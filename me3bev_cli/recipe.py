@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from me3bev_cli.api import ObservationConfig
 from me3bev_cli.recipe_base import Block, Names, Width
 from me3bev_cli.recipe_stages import SimulatedStage, Stage
+from me3bev_cli.recipe_training import PeriodicEvaluation, RewardWeights, effective
 
 MODALITIES = ("bev", "vr", "nav")
 """The modalities in the order in which fusion takes them."""
@@ -108,7 +109,12 @@ class Recipe(Block):
     context: Context = WindowContext(kind="window")
     fusion: PluginChoice
     policy: Policy = Policy()
+    reward: RewardWeights = RewardWeights()
     stages: tuple[Stage, ...] = Field(min_length=1, description="run in order")
+    evaluation: PeriodicEvaluation = PeriodicEvaluation()
+    keep_every: int | None = Field(
+        default=None, gt=0, description="environment steps: a checkpoint out of each so many is kept for good"
+    )
     seed: int = Field(default=0, ge=0, lt=2**31)
     device: Literal["auto", "cpu", "cuda"] = "auto"
 
@@ -128,3 +134,7 @@ class Recipe(Block):
     def weather_in(self, stage: SimulatedStage) -> tuple[str, ...] | None:
         """The kinds of weather that a stage's episodes draw from; None: the simulator's default one."""
         return stage.weather or self.weather.training
+
+    def reward_in(self, stage: SimulatedStage) -> dict[str, float]:
+        """The weights of the terms that a stage adds to the simulator's reward; empty: none."""
+        return effective(self.reward, stage.reward)

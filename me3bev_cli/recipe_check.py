@@ -147,6 +147,11 @@ class Checker:
         for key, options in (("map", simulator.maps()), ("density", simulator.densities())):
             for path, block in [(("simulator",), self.data["simulator"]), *stages]:
                 self._known(key, (*path, key), block.get(key), options)
+        evaluation = self.data.get("evaluation")
+        for what, key, options in (("map", "maps", simulator.maps()), ("density", "densities", simulator.densities())):
+            names = evaluation.get(key) if isinstance(evaluation, Mapping) else None
+            for index, word in enumerate(names if isinstance(names, list) else ()):
+                self._known(what, ("evaluation", key, index), word, options)
         self._weather(simulator.weathers(), stages)
         for path, stage in stages:
             own = stage.get("simulator")

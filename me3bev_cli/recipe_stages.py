@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from me3bev_cli.recipe_base import Block, Names
+from me3bev_cli.recipe_training import StageRewardWeights
 
 
 class LearningRate(Block):
@@ -49,6 +50,7 @@ class SimulatedStage(Block):
         default=None, ge=1, le=256, description="processes for them, at most envs; 1: this one; null: one per core"
     )
     learning_rate: LearningRate = LearningRate(initial=3e-4)
+    reward: StageRewardWeights | None = Field(default=None, description="weights that differ from the reward block's")
     freeze: tuple[Literal["spatial", "encoders", "temporal", "fusion"], ...] = Field(
         default=(), description="parts that do not learn in this stage"
     )
@@ -63,6 +65,15 @@ class PpoStage(SimulatedStage):
     segment: int = Field(default=16, ge=1, description="contiguous frames that are learned from together")
     minibatch: int = Field(default=128, ge=1, description="frames per gradient step; a multiple of segment")
     epochs: int = Field(default=4, ge=1, le=100, description="passes over a rollout")
+    microbatch: int | None = Field(
+        default=None,
+        ge=1,
+        description="frames whose images are encoded at a time, once more in the backward pass: the same gradients in "
+        "less memory; null: all of a minibatch",
+    )
+    autocast: Literal["bfloat16"] | None = Field(
+        default=None, description="computes the network in a shorter type, in collection and in the update; null: float32"
+    )
     gamma: float = Field(default=0.99, gt=0, le=1)
     gae_lambda: float = Field(default=0.95, ge=0, le=1)
     clip: float = Field(default=0.2, gt=0, lt=1)
@@ -85,5 +96,47 @@ class PpoStage(SimulatedStage):
         return self
 
 
-Stage = PpoStage
-"""What `stages` holds, told apart by `kind`; a second kind makes this a union discriminated by `kind`."""
+class ImitationStage(SimulatedStage):
+    """Learning from the simulator's autopilot, in rounds: drive for a while, then learn what it would have done there.
+
+    In the first round the autopilot drives, disturbed by noise; later the policy does, so that it is shown the way
+    out of the states that it gets itself into.
+    """
+
+    kind: Literal["imitation"]
+    rollout: int = Field(default=256, ge=2, description="steps per environment in a round")
+    beta: float = Field(
+        default=0.0, ge=0, lt=1, description="the autopilot drives a share beta^k of the episodes of round k = 0, 1, ..."
+    )
+    steering_noise: float = Field(default=0.1, ge=0, le=1, description="deviation, added while the autopilot drives")
+    longitudinal_noise: float = Field(default=0.3, ge=0, le=1, description="the same for throttle and brake")
+    segment: int = Field(default=16, ge=1, description="contiguous frames that are learned from together")
+    burn_in: int = Field(
+        default=16, ge=0, description="frames before a segment that fill the memory, where the context is a stream"
+    )
+    minibatch: int = Field(default=128, ge=1, description="frames per gradient step; a multiple of segment")
+    epochs: int = Field(default=4, ge=1, le=1000, description="learning of a round, in passes over as many frames")
+    pool: int = Field(default=16_384, ge=1, description="frames of past rounds that are learned from; the oldest go")
+    loss: Literal["l1", "mse"] = Field(default="mse", description="of the policy's mean action")
+    steering_weight: float = Field(default=10.0, gt=0, description="of the steering's loss beside the longitudinal's")
+    value: float = Field(default=0.5, ge=0, description="weight of the critic's loss; it reads, but does not shape")
+    gamma: float = Field(default=0.99, gt=0, lt=1, description="of the returns that the critic learns")
+    reward_scale: float = Field(default=1.0, gt=0, description="of the same: as in the ppo stage that follows")
+    max_grad_norm: float = Field(default=1.0, gt=0)
+
+    @model_validator(mode="after")
+    def _sizes_fit(self) -> ImitationStage:
+        frames = self.envs * self.rollout
+        if self.rollout % self.segment:
+            raise ValueError(f"rollout {self.rollout} is not a multiple of segment {self.segment}")
+        if self.minibatch % self.segment:
+            raise ValueError(f"minibatch {self.minibatch} is not a multiple of segment {self.segment}")
+        if self.minibatch > frames:
+            raise ValueError(f"minibatch {self.minibatch} is more than envs x rollout = {frames} frames")
+        if self.pool < frames:
+            raise ValueError(f"pool {self.pool} is less than one round, envs x rollout = {frames} frames")
+        return self
+
+
+Stage = Annotated[PpoStage | ImitationStage, Field(discriminator="kind")]
+"""What `stages` holds, told apart by `kind`."""

@@ -42,6 +42,7 @@ def make_environments(
             first=first_episode + index,
             stride=stage.envs,
             around=around,
+            terms=recipe.reward_in(stage),
         )
         for index in range(stage.envs)
     ]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
@@ -11,6 +11,7 @@ from gymnasium.wrappers import RecordEpisodeStatistics
 
 from me3bev_cli.api import ObservationConfig
 from me3bev_cli.seeding import derive_seed
+from me3bev_cli.training.shaped_reward import ShapedReward
 
 
 class SeededEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -52,11 +53,15 @@ class EpisodeMaker:
     """From there to the next one."""
     around: Wrapping | None = None
     """Wraps the environment once more."""
+    terms: Mapping[str, float] = field(default_factory=dict)
+    """Weights of the terms that are added to the reward."""
 
     def __call__(self) -> gymnasium.Env[Any, Any]:
         env = self.simulator.make_env(
             self.observation, map=self.map, density=self.density, weather=self.weather, images=self.images
         )
         seeded = SeededEpisodes(env, (self.run_seed, self.map, self.density), self.first, self.stride)
-        recorded = RecordEpisodeStatistics(seeded)
+        recorded: gymnasium.Env[Any, Any] = RecordEpisodeStatistics(seeded)
+        if self.terms:
+            recorded = ShapedReward(recorded, self.terms)
         return self.around(recorded) if self.around is not None else recorded

@@ -10,6 +10,8 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
+from me3bev_cli.training.shaped_reward import PLAIN
+
 if TYPE_CHECKING:
     from me3bev_cli.training.ppo_stage import PpoRunner
     from me3bev_cli.training.sequence_ppo import SequencePPO
@@ -32,6 +34,7 @@ class Monitor(BaseCallback):
         super().__init__()
         self.runner, self.trainer, self.stage = runner, runner.trainer, runner.stage
         self.rewards: list[float] = []
+        self.shaped: list[float] | None = [] if self.trainer.recipe.reward_in(self.stage) else None
         self.episodes: deque[dict[str, float]] = deque(maxlen=100)
         self.saved_at = self.trainer.progress.stage_steps
         self.clock = time.monotonic()
@@ -40,7 +43,10 @@ class Monitor(BaseCallback):
 
     def _on_step(self) -> bool:
         infos, rewards, dones = (self.locals[key] for key in ("infos", "rewards", "dones"))
-        self.rewards.extend(float(reward) for reward in rewards)
+        # The log shows the simulator's own reward, whatever the recipe adds to it.
+        self.rewards.extend(float(info.get(PLAIN, reward)) for info, reward in zip(infos, rewards, strict=True))
+        if self.shaped is not None:
+            self.shaped.extend(float(reward) for reward in rewards)
         self.episodes.extend(_episode(info) for info, done in zip(infos, dones, strict=True) if done)
         self.trainer.count(len(rewards), int(np.sum(dones)))
         self.trainer.display.step(lambda: self.trainer.standing() | self._means())
@@ -61,6 +67,9 @@ class Monitor(BaseCallback):
         self.clock = now
         values = self.model.logger.name_to_value
         row |= {name: float(values[key]) for key, name in LOSSES.items() if key in values}
+        if self.shaped is not None:
+            row["shaped_reward_per_step"] = float(np.mean(self.shaped))
+            self.shaped.clear()
         self.rewards.clear()
         self.trainer.log(row)
 
