@@ -18,7 +18,7 @@ from me3bev_cli.bench.latency_device import clock_for, graphed
 from me3bev_cli.bench.latency_memory import Context, contexts, memory_for, state_after
 from me3bev_cli.bench.latency_subjects import Subject
 from me3bev_cli.pipeline.assemble import build_network
-from me3bev_cli.pipeline.control import to_tensors
+from me3bev_cli.pipeline.transfer import to_tensors
 from me3bev_cli.training.checkpoint import load_network
 
 if TYPE_CHECKING:

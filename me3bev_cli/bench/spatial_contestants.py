@@ -15,8 +15,8 @@ from me3bev_cli.bench.latency_network import random_observation
 from me3bev_cli.bench.precision import bf16_error
 from me3bev_cli.errors import UserError
 from me3bev_cli.pipeline.assemble import build_network, configured, recipe_rig
-from me3bev_cli.pipeline.control import to_tensors
 from me3bev_cli.pipeline.network import Network
+from me3bev_cli.pipeline.transfer import to_tensors
 
 if TYPE_CHECKING:
     from me3bev_cli.recipe import Recipe

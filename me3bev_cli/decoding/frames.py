@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from me3bev_cli.errors import LogError
 from me3bev_cli.pipeline.assemble import configured
-from me3bev_cli.pipeline.control import to_tensors
 from me3bev_cli.pipeline.network import Network
+from me3bev_cli.pipeline.transfer import to_tensors
 from me3bev_cli.seeding import derive_seed
 
 if TYPE_CHECKING:

@@ -12,14 +12,10 @@ from numpy.typing import NDArray
 
 from me3bev_cli.pipeline.assemble import build_network, pick_device
 from me3bev_cli.pipeline.network import Network
+from me3bev_cli.pipeline.transfer import to_tensors
 
 if TYPE_CHECKING:
     from me3bev_cli.recipe import Recipe
-
-
-def to_tensors(observation: Mapping[str, NDArray[Any]], device: torch.device) -> dict[str, torch.Tensor]:
-    """Arrays with a leading batch axis -> tensors on `device`, in their own types (images stay uint8)."""
-    return {key: torch.as_tensor(np.ascontiguousarray(value)).to(device) for key, value in observation.items()}
 
 
 class Controller:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Literal
 
 import torch
 from gymnasium import spaces
@@ -14,8 +15,10 @@ from torch import Tensor
 from me3bev_cli.pipeline.network import Network
 
 STARTS = "episode_starts"
+ROWS = "rows"
 STATE = "state"
-"""Keys that a minibatch carries beside the observations: (B, P + L) bool and the stored memory."""
+"""Keys that a minibatch carries beside the observations: (B, P + L) bool, (B, P + L) which frame stands where, and the
+stored memory."""
 
 PARTS = {
     "spatial": ("spatial",),
@@ -25,9 +28,26 @@ PARTS = {
 }
 """A recipe's name of a part that can be frozen -> the network's modules."""
 
+BEFORE_MEMORY = {"spatial": ("bev",), "encoders": ("vr", "nav")}
+"""Those of them that read one frame each -> the modalities that they encode."""
+
+Precision = Literal["bfloat16"]
+
+
+def settled_embeddings(network: Network, frozen: Iterable[str]) -> dict[str, tuple[int, int]]:
+    """(K, D) of the embeddings that no update changes: what encodes them is frozen."""
+    settled = {modality for part in frozen for modality in BEFORE_MEMORY.get(part, ())}
+    return {name: shape for name, shape in network.embedding_shapes.items() if name in settled}
+
 
 class DrivingPolicy(BasePolicy):
-    """Wraps a `Network`; PPO's loss calls `evaluate_actions`, collection calls `step`."""
+    """Wraps a `Network`; PPO's loss calls `evaluate_actions`, collection calls `network.advance`.
+
+    Args:
+        frozen: parts of `PARTS` that do not learn.
+        autocast: the type in which the network is computed where autocast allows it; None: in its own.
+        microbatch: frames whose images are encoded at a time.
+    """
 
     def __init__(
         self,
@@ -38,12 +58,16 @@ class DrivingPolicy(BasePolicy):
         *,
         network: Network,
         frozen: tuple[str, ...] = (),
+        autocast: Precision | None = None,
+        microbatch: int | None = None,
     ) -> None:
         super().__init__(observation_space, action_space, squash_output=False, normalize_images=False)
         self.network = network
         named = [getattr(network, module) for part in frozen for module in PARTS[part]]
         self.frozen = [module for module in named if module is not None]
         network.freeze(self.frozen)
+        network.microbatch = microbatch
+        self.autocast = autocast
         trained = [p for p in network.parameters() if p.requires_grad]
         self.optimizer = torch.optim.Adam(trained, lr=lr_schedule(1), eps=1e-5)
         self.before_minibatch: Callable[[], None] | None = None
@@ -54,13 +78,20 @@ class DrivingPolicy(BasePolicy):
         for module in self.frozen:
             module.eval()
 
+    def computing(self) -> AbstractContextManager[None]:
+        """The context in which the network runs, in collection as in the update."""
+        if self.autocast is None:
+            return nullcontext()
+        return torch.autocast(self.network.device.type, getattr(torch, self.autocast))
+
     def evaluate_actions(self, obs: PyTorchObs, actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, log-probabilities and entropies (B L,) of segments, as PPO's loss needs them."""
         if self.before_minibatch is not None:
             self.before_minibatch()
         frames = dict(obs)
-        starts, state = frames.pop(STARTS), frames.pop(STATE, None)
-        decision = self.network.evaluate(frames, state, starts)
+        starts, state, rows = frames.pop(STARTS), frames.pop(STATE, None), frames.pop(ROWS, None)
+        with self.computing():
+            decision = self.network.evaluate(frames, state, starts, rows)
         return decision.values, decision.actions.log_prob(actions), decision.actions.entropy()
 
     def forward(self, obs: Any, deterministic: bool = False) -> Any:

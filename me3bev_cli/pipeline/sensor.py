@@ -14,6 +14,9 @@ IMAGE_STD = (0.229, 0.224, 0.225)
 TOP_SPEED = 25.0
 """m/s that become 1 at the encoders' input."""
 
+SOURCES = {"bev": ("images",), "vr": ("vehicle", "road"), "nav": ("navigation",)}
+"""Modality -> the parts of an observation that it is made from."""
+
 VECTOR_WIDTHS = {"vr": VEHICLE_WIDTH + ROAD_WIDTH, "nav": NAVIGATION_WIDTH}
 
 
@@ -45,6 +48,10 @@ class Sensor(nn.Module):
         return (observation["images"].to(self.mean.dtype) - self.mean) / self.deviation
 
     def vectors(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """`vr` (N, 13): vehicle then road features; `nav` (N, 5)."""
-        vr = torch.cat([observation["vehicle"], observation["road"]], dim=-1)
-        return {"vr": vr * self.vr_scale, "nav": observation["navigation"] * self.nav_scale}
+        """`vr` (N, 13): vehicle then road features; `nav` (N, 5). Those whose features are there."""
+        scales = {"vr": self.vr_scale, "nav": self.nav_scale}
+        return {
+            name: torch.cat([observation[key] for key in SOURCES[name]], dim=-1) * scale
+            for name, scale in scales.items()
+            if all(key in observation for key in SOURCES[name])
+        }

@@ -2,12 +2,12 @@
 
 No observation is stacked: frame t of environment e is stored once. A minibatch is a set of segments of L frames,
 each preceded by the P frames that a window needs (P = T - 1), so that every frame is encoded once and gradients equal
-those of stacked observations.
+those of stacked observations. Of a frozen encoder the embeddings are stored, not what it read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,10 +18,31 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.type_aliases import DictRolloutBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
-from me3bev_cli.pipeline.policy import STARTS, STATE
+from me3bev_cli.pipeline.network import embedding_key
+from me3bev_cli.pipeline.policy import ROWS, STARTS, STATE
+from me3bev_cli.pipeline.sensor import SOURCES
+from me3bev_cli.pipeline.transfer import gather, to_device
 from me3bev_cli.pipeline.tree import map_tree
 
 Frames = dict[str, NDArray[Any]]
+
+
+def stored_arrays(
+    space: spaces.Dict, embeddings: Mapping[str, tuple[int, int]]
+) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
+    """Shape and type of what is stored of one frame, by key.
+
+    Args:
+        space: of an observation, boxes by key.
+        embeddings: (K, D) of the modalities whose embedding is stored in place of what it is made from.
+    """
+    replaced = {source for name in embeddings for source in SOURCES[name]}
+    kept = {
+        key: (tuple(part.shape or ()), np.dtype(part.dtype))
+        for key, part in space.spaces.items()
+        if key not in replaced
+    }
+    return kept | {embedding_key(name): (shape, np.dtype(np.float32)) for name, shape in embeddings.items()}
 
 
 class SequenceRolloutBuffer(RolloutBuffer):
@@ -31,6 +52,7 @@ class SequenceRolloutBuffer(RolloutBuffer):
         segment: L, frames per segment; must divide `buffer_size`.
         prefix: P, frames kept from the end of the rollout before.
         seed: of the order in which segments are handed out.
+        embeddings: (K, D) of the modalities that are stored as embeddings.
     """
 
     def __init__(
@@ -46,14 +68,15 @@ class SequenceRolloutBuffer(RolloutBuffer):
         segment: int,
         prefix: int,
         seed: int = 0,
+        embeddings: Mapping[str, tuple[int, int]] | None = None,
     ) -> None:
         self.segment, self.prefix = segment, prefix
         self.generator = np.random.default_rng(seed)
         # (P + buffer_size, n_envs, ...): allocated once; `reset` only moves the tail to the front.
         length = prefix + buffer_size
         self.frames: Frames = {
-            key: np.zeros((length, n_envs, *(space.shape or ())), space.dtype)
-            for key, space in observation_space.spaces.items()
+            key: np.zeros((length, n_envs, *shape), dtype)
+            for key, (shape, dtype) in stored_arrays(observation_space, embeddings or {}).items()
         }
         self.starts = np.zeros((length, n_envs), np.bool_)
         self.states: list[Any] = []
@@ -111,15 +134,18 @@ class SequenceRolloutBuffer(RolloutBuffer):
             yield self._segments(pairs[order[low : low + per_batch]])
 
     def _segments(self, pairs: NDArray[np.int64]) -> DictRolloutBufferSamples:
-        """Segments named by (first frame, environment) -> flattened tensors."""
+        """Segments named by (first frame, environment) -> tensors."""
         first, env = pairs[:, :1], pairs[:, 1:]
         seen = first + np.arange(self.prefix + self.segment)
         own = first + np.arange(self.segment)
+        starts = self.starts[seen, env]
+        frames, rows = self._needed(seen * self.n_envs + env, starts)
         observations = {
-            key: self.to_torch(array[seen, env].reshape(-1, *array.shape[2:]), copy=False)
-            for key, array in self.frames.items()
+            key: gather(array.reshape(-1, *array.shape[2:]), frames, self.device) for key, array in self.frames.items()
         }
-        observations[STARTS] = self.to_torch(self.starts[seen, env])
+        observations[STARTS] = self.to_torch(starts)
+        if rows is not None:
+            observations[ROWS] = self.to_torch(rows)
         if self.states:
             observations[STATE] = self._states(pairs)
         return DictRolloutBufferSamples(
@@ -130,6 +156,30 @@ class SequenceRolloutBuffer(RolloutBuffer):
             advantages=self.to_torch(self.advantages[own, env].ravel()),
             returns=self.to_torch(self.returns[own, env].ravel()),
         )
+
+    def _needed(
+        self, wanted: NDArray[np.int64], starts: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64] | None]:
+        """Each frame that some decision depends on, once, and where it stands.
+
+        Args:
+            wanted: (B, P + L), a number for each stored frame.
+            starts: (B, P + L).
+
+        Returns:
+            The numbers of N frames, and (B, P + L) places among them; None: N = B (P + L) in order.
+        """
+        if not self.prefix:
+            return wanted.ravel(), None
+        # A prefix frame before an episode's start is in no window: any frame may stand in its place.
+        later = np.logical_or.accumulate(starts[:, self.prefix : 0 : -1], axis=1)[:, ::-1]
+        before = np.where(later, wanted[:, self.prefix :][:, :1], wanted[:, : self.prefix])
+        frames, rows = np.unique(np.concatenate([before, wanted[:, self.prefix :]], 1), return_inverse=True)
+        return frames, rows.reshape(wanted.shape)
+
+    def to_torch(self, array: NDArray[Any], copy: bool = True) -> torch.Tensor:
+        """An array that nobody else holds, on the buffer's device."""
+        return to_device(array, self.device)
 
     def _states(self, pairs: NDArray[np.int64]) -> Any:
         """The stored memory of each segment, batch first."""

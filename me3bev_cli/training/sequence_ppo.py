@@ -13,23 +13,37 @@ from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from me3bev_cli.pipeline.control import to_tensors
-from me3bev_cli.pipeline.network import Network
-from me3bev_cli.pipeline.policy import DrivingPolicy
+from me3bev_cli.pipeline.network import Network, embedding_key
+from me3bev_cli.pipeline.policy import DrivingPolicy, settled_embeddings
+from me3bev_cli.pipeline.transfer import to_device, to_tensors
 from me3bev_cli.pipeline.tree import map_tree
-from me3bev_cli.training.rollout import SequenceRolloutBuffer
+from me3bev_cli.training.rollout import Frames, SequenceRolloutBuffer
 
 
 class SequencePPO(PPO):
-    """PPO whose policy remembers: state is carried while collecting and cleared at episode starts."""
+    """PPO whose policy remembers: state is carried while collecting and cleared at episode starts.
+
+    Args:
+        reward_scale: applied to the rewards that are learned from.
+        store_embeddings: where an encoder is frozen, keep what it gave while collecting instead of what it read.
+    """
 
     rollout_buffer: SequenceRolloutBuffer
     policy: DrivingPolicy  # type: ignore[assignment]
 
-    def __init__(self, *args: Any, reward_scale: float = 1.0, **kwargs: Any) -> None:
+    def __init__(self, *args: Any, reward_scale: float = 1.0, store_embeddings: bool = True, **kwargs: Any) -> None:
         self.reward_scale = reward_scale
+        self.store_embeddings = store_embeddings
         self._state: Any = None
+        self._settled: tuple[str, ...] = ()
         super().__init__(*args, **kwargs)
+
+    def _setup_model(self) -> None:
+        if self.store_embeddings:
+            settled = settled_embeddings(self.policy_kwargs["network"], self.policy_kwargs.get("frozen", ()))
+            self._settled = tuple(settled)
+            self.rollout_buffer_kwargs = {**self.rollout_buffer_kwargs, "embeddings": settled}
+        super()._setup_model()
 
     @property
     def network(self) -> Network:
@@ -58,7 +72,7 @@ class SequencePPO(PPO):
             if self._streams and step % rollout_buffer.segment == 0:
                 rollout_buffer.add_state(self._state)
             observation, starts = self._last_obs, np.asarray(self._last_episode_starts, bool)
-            actions, values, log_probs = self._choose(observation, starts)
+            actions, values, log_probs, embeddings = self._choose(observation, starts)
             new_obs, rewards, dones, infos = env.step(np.clip(actions, low, high))
             self.num_timesteps += env.num_envs
             callback.update_locals(locals())
@@ -66,7 +80,8 @@ class SequencePPO(PPO):
                 return False
             self._update_info_buffer(infos, dones)
             targets = self._bootstrap(rewards * self.reward_scale, dones, infos)
-            rollout_buffer.add(observation, actions, targets, starts, values, log_probs)  # type: ignore[arg-type]
+            seen = {**observation, **embeddings}  # type: ignore[dict-item]
+            rollout_buffer.add(seen, actions, targets, starts, values, log_probs)
             self._last_obs, self._last_episode_starts = new_obs, dones  # type: ignore[assignment]
         last_values = self._value(self._last_obs, self._state, dones)
         rollout_buffer.compute_returns_and_advantage(last_values=last_values, dones=dones)
@@ -80,20 +95,30 @@ class SequencePPO(PPO):
         return bool(self._state) and self.network.prefix == 0
 
     @torch.no_grad()
-    def _choose(self, observation: Any, starts: NDArray[np.bool_]) -> tuple[Any, torch.Tensor, torch.Tensor]:
-        """Sample an action in each environment and advance the memory."""
-        frames = to_tensors(observation, self.device)
-        decision, self._state = self.network.step(frames, self._state, torch.as_tensor(starts).to(self.device))
+    def _choose(
+        self, observation: Any, starts: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float32], torch.Tensor, torch.Tensor, Frames]:
+        """Sample an action in each environment and advance the memory.
+
+        Returns:
+            Actions (N, 2), values (N,), their log-probabilities (N,), and the embeddings that no update changes.
+        """
+        with self.policy.computing():
+            embeddings = self.network.encode(to_tensors(observation, self.device))
+            decision, self._state = self.network.advance(embeddings, self._state, to_device(starts, self.device))
         actions = decision.actions.sample()
-        return actions.cpu().numpy(), decision.values, decision.actions.log_prob(actions)
+        told = [actions, decision.values[:, None], decision.actions.log_prob(actions)[:, None]]
+        # One copy: on a GPU each would wait for all that went before.
+        chosen, values, log_probs = torch.split(torch.cat(told, 1).cpu(), [actions.shape[1], 1, 1], 1)
+        settled = {embedding_key(name): embeddings[name].float().cpu().numpy() for name in self._settled}
+        return chosen.numpy(), values[:, 0], log_probs[:, 0], settled
 
     @torch.no_grad()
     def _value(self, observation: Any, state: Any, starts: NDArray[np.bool_]) -> torch.Tensor:
         """The value of the next frames, without advancing the memory."""
-        decision, _ = self.network.step(
-            to_tensors(observation, self.device), state, torch.as_tensor(starts).to(self.device)
-        )
-        return decision.values
+        with self.policy.computing():
+            frames = to_tensors(observation, self.device)
+            return self.network.step(frames, state, to_device(starts, self.device))[0].values
 
     def _bootstrap(
         self, rewards: NDArray[np.floating[Any]], dones: NDArray[np.bool_], infos: list[dict[str, Any]]

@@ -13,7 +13,7 @@ from me3bev_cli.bench.latency_network import random_observation
 from me3bev_cli.bench.spatial import TARGETS, main, take_turns
 from me3bev_cli.bench.spatial_contestants import Encoders, Splats, Steps, published, splatting
 from me3bev_cli.pipeline.assemble import build_network
-from me3bev_cli.pipeline.control import to_tensors
+from me3bev_cli.pipeline.transfer import to_tensors
 from me3bev_cli.recipe_loading import resolve_recipe
 
 SETS = ["spatial.stride=16", "spatial.trunk=mobilenet_v3_small"]
