@@ -72,7 +72,8 @@ class PpoStage(SimulatedStage):
         "less memory; null: all of a minibatch",
     )
     autocast: Literal["bfloat16"] | None = Field(
-        default=None, description="computes the network in a shorter type, in collection and in the update; null: float32"
+        default=None,
+        description="computes the network in a shorter type, in collection and in the update; null: float32",
     )
     gamma: float = Field(default=0.99, gt=0, le=1)
     gae_lambda: float = Field(default=0.95, ge=0, le=1)
@@ -106,7 +107,7 @@ class ImitationStage(SimulatedStage):
     kind: Literal["imitation"]
     rollout: int = Field(default=256, ge=2, description="steps per environment in a round")
     beta: float = Field(
-        default=0.0, ge=0, lt=1, description="the autopilot drives a share beta^k of the episodes of round k = 0, 1, ..."
+        default=0.0, ge=0, lt=1, description="the autopilot drives a share beta^k of the episodes of round k, from 0"
     )
     steering_noise: float = Field(default=0.1, ge=0, le=1, description="deviation, added while the autopilot drives")
     longitudinal_noise: float = Field(default=0.3, ge=0, le=1, description="the same for throttle and brake")

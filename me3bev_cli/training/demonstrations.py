@@ -46,12 +46,14 @@ class Round:
     """T frames of each of n environments, from the begin of an episode in each; observations are stored once.
 
     Args:
+        index: of the round.
         first: index of the first environment's first episode.
         length: T.
         envs: n.
         prefix: P, rows kept free before the first frame, marked as another episode: a segment may look back to them.
     """
 
+    index: int
     first: int
     length: int
     envs: int

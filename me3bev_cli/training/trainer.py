@@ -38,7 +38,10 @@ if TYPE_CHECKING:
 KEEP = 5
 """Checkpoints kept in a run."""
 
-RUNNERS = {"ppo": "me3bev_cli.training.ppo_stage:PpoRunner"}
+RUNNERS = {
+    "imitation": "me3bev_cli.training.imitation_stage:ImitationRunner",
+    "ppo": "me3bev_cli.training.ppo_stage:PpoRunner",
+}
 """Kind of a stage -> who runs it."""
 
 
