@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -16,16 +17,43 @@ StepResults = tuple[list[float], list[bool], list[dict[str, Any]], dict[int, dic
 """Rewards, ends of episodes, infos, and what the reset of each environment that ended told, by its position here."""
 
 
+@dataclass(frozen=True)
+class Play:
+    """Where an environment stands: from this a deterministic one can be brought there again, in any process."""
+
+    episode: int
+    """Index of the episode that it plays, or, before its first reset, of the one that it will play."""
+    actions: Sequence[NDArray[Any]] | None
+    """What has been done since the episode began; None: it has not begun."""
+
+
+def play_again(env: Env, play: Play, check: Callable[[], None] | None = None) -> Any:
+    """Bring an environment where `play` says; its observation there, or None before its first reset.
+
+    Args:
+        env: has a method `play_from(episode)`, in any wrapper, that chooses the episode of the next reset.
+        check: called before each step; may raise to give up.
+    """
+    env.get_wrapper_attr("play_from")(play.episode)
+    if play.actions is None:
+        return None
+    observation, _ = env.reset()
+    for action in play.actions:
+        if check is not None:
+            check()
+        observation, *_ = env.step(action)
+    return observation
+
+
 class EnvironmentHost:
-    """Some of N environments, one after another; called with (name of a method, its arguments).
+    """Some environments, one after another; called with (name of a method, its arguments).
 
     Args:
         makers: make the environments; can be pickled.
-        first: the first one's index among all.
     """
 
-    def __init__(self, makers: Sequence[Callable[[], Env]], first: int) -> None:
-        self.makers, self.first = makers, first
+    def __init__(self, makers: Sequence[Callable[[], Env]]) -> None:
+        self.makers = makers
         self.envs: list[Env] = []
         self.memory: SharedObservations | None = None
 
@@ -39,10 +67,18 @@ class EnvironmentHost:
         self.envs = [make() for make in self.makers]
         return self.envs[0].observation_space, self.envs[0].action_space
 
-    def attach(self, name: str, count: int) -> None:
-        """Write observations into the shared memory of that name, made for `count` environments."""
+    def attach(self, name: str) -> None:
+        """Write observations into the shared memory of that name."""
         assert isinstance(self.envs[0].observation_space, spaces.Dict)
-        self.memory = SharedObservations(self.envs[0].observation_space, count, name)
+        self.memory = SharedObservations(self.envs[0].observation_space, len(self.envs), name)
+
+    def replay(self, plays: Sequence[Play]) -> None:
+        """Bring every environment where its play says."""
+        assert self.memory is not None
+        for i, (env, play) in enumerate(zip(self.envs, plays, strict=True)):
+            observation = play_again(env, play)
+            if observation is not None:
+                self.memory.write(self.memory.newest, i, observation)
 
     def reset(self, seeds: Sequence[int | None], options: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         """Begin an episode in every environment; what the resets told."""
@@ -50,7 +86,7 @@ class EnvironmentHost:
         told = []
         for i, (env, seed, given) in enumerate(zip(self.envs, seeds, options, strict=True)):
             observation, info = env.reset(seed=seed, options=given) if given else env.reset(seed=seed)
-            self.memory.write(self.memory.newest, self.first + i, observation)
+            self.memory.write(self.memory.newest, i, observation)
             told.append(info)
         return told
 
@@ -63,9 +99,9 @@ class EnvironmentHost:
             observation, reward, terminated, truncated, info = env.step(action)
             info["TimeLimit.truncated"] = truncated and not terminated
             if terminated or truncated:
-                self.memory.write(self.memory.last, self.first + i, observation)
+                self.memory.write(self.memory.last, i, observation)
                 observation, resets[i] = env.reset()
-            self.memory.write(self.memory.newest, self.first + i, observation)
+            self.memory.write(self.memory.newest, i, observation)
             rewards.append(float(reward))
             dones.append(bool(terminated or truncated))
             infos.append(info)

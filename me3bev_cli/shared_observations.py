@@ -51,10 +51,10 @@ class SharedObservations:
         for key, array in slot.items():
             array[index] = observation[key]
 
-    def copy(self, rows: slice, target: Frames) -> None:
-        """Copy the newest observations of some environments to the same rows of other arrays."""
+    def copy(self, target: Frames, rows: slice) -> None:
+        """Copy the newest observations to some rows of larger arrays."""
         for key, array in self.newest.items():
-            target[key][rows] = array[rows]
+            target[key][rows] = array
 
     def forget_name(self) -> None:
         """Let the memory vanish with its last holder. Nobody can attach to it any more."""
