@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, GetJsonSchemaHandler, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from me3bev_cli.recipe_base import Block, Names
+from me3bev_cli.recipe_alarms import Alarms
+from me3bev_cli.recipe_base import Block, Names, Width
 from me3bev_cli.recipe_training import StageRewardWeights
 
 
@@ -49,6 +51,9 @@ class SimulatedStage(Block):
     workers: int | None = Field(
         default=None, ge=1, le=256, description="processes for them, at most envs; 1: this one; null: one per core"
     )
+    worker_timeout: float | None = Field(
+        default=300.0, gt=0, description="seconds without an answer before a process is started again; null: never"
+    )
     learning_rate: LearningRate = LearningRate(initial=3e-4)
     reward: StageRewardWeights | None = Field(default=None, description="weights that differ from the reward block's")
     freeze: tuple[Literal["spatial", "encoders", "temporal", "fusion"], ...] = Field(
@@ -84,6 +89,7 @@ class PpoStage(SimulatedStage):
     target_kl: float | None = Field(default=None, gt=0, description="an update stops early beyond 1.5 times this")
     normalise_advantage: bool = True
     reward_scale: float = Field(default=1.0, gt=0, description="applied to what is learned from, not to what is shown")
+    alarms: Alarms = Alarms()
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> PpoStage:
@@ -117,6 +123,8 @@ class ImitationStage(SimulatedStage):
     )
     minibatch: int = Field(default=128, ge=1, description="frames per gradient step; a multiple of segment")
     epochs: int = Field(default=4, ge=1, le=1000, description="learning of a round, in passes over as many frames")
+    microbatch: int | None = Field(default=None, ge=1, description="as in a ppo stage")
+    autocast: Literal["bfloat16"] | None = Field(default=None, description="as in a ppo stage")
     pool: int = Field(default=16_384, ge=1, description="frames of past rounds that are learned from; the oldest go")
     loss: Literal["l1", "mse"] = Field(default="mse", description="of the policy's mean action")
     steering_weight: float = Field(default=10.0, gt=0, description="of the steering's loss beside the longitudinal's")
@@ -139,5 +147,55 @@ class ImitationStage(SimulatedStage):
         return self
 
 
-Stage = Annotated[PpoStage | ImitationStage, Field(discriminator="kind")]
+class PerceptionStage(SimulatedStage):
+    """Supervised learning of the bird's-eye map and of depth, from frames that the autopilot is driven past.
+
+    In rounds: `envs` stretches of driving are drawn, then learned from together with those of the rounds before.
+    """
+
+    kind: Literal["perception"]
+    logs: Path | None = Field(
+        default=None, description="a folder of recorded episodes to learn from instead; they hold no depth"
+    )
+    rollout: int = Field(default=256, ge=1, description="steps of each stretch; of a log, at most so many")
+    every: int = Field(default=4, ge=1, description="of so many steps one frame is kept: neighbours are nearly the same")
+    noise: float = Field(
+        default=0.15, ge=0, le=1, description="disturbance of the autopilot's steering, twice that of its speed"
+    )
+    microbatch: int | None = Field(default=None, ge=1, description="as in a ppo stage")
+    autocast: Literal["bfloat16"] | None = Field(default=None, description="as in a ppo stage")
+    pool: int = Field(default=2048, ge=1, description="frames of the last rounds that are learned from; the oldest go")
+    uses: float = Field(default=4.0, gt=0, description="how often a frame is learned from, on average")
+    minibatch: int = Field(default=8, ge=1, description="frames per gradient step")
+    learning_rate: LearningRate = LearningRate(initial=1e-3)
+    warmup: int = Field(default=0, ge=0, description="environment steps over which the rate rises to its value")
+    anneal: float = Field(
+        default=0.02, gt=0, le=1, description="share of the rate that is left at the last step, along a half cosine; 1: all"
+    )
+    weight_decay: float = Field(default=1e-4, ge=0)
+    max_grad_norm: float = Field(default=5.0, gt=0)
+    balance: float = Field(
+        default=0.5, ge=0, le=1, description="classes are weighted by their frequency to the power of minus this"
+    )
+    hidden: float = Field(
+        default=0.5, ge=0, le=1, description="weight of far cells that no camera sees, beside 1 for the others"
+    )
+    dice: float = Field(default=1.0, ge=0, description="weight of the dice loss")
+    depth: float = Field(default=0.5, ge=0, description="weight of the depth loss, where the spatial plugin gives depth")
+    mirror: bool = Field(default=True, description="mirror half of the frames, where the cameras stand symmetrically")
+    head_width: Width = Field(default=64, description="channels between the two layers of the segmentation head")
+    autocast: Literal["bfloat16"] | None = Field(
+        default=None, description="learn in it where that is safe; null: in float32"
+    )
+    held_out: int = Field(default=64, ge=0, description="frames of other episodes that are scored; 0: none")
+    score_every: int = Field(default=10_000, gt=0, description="environment steps between two scores")
+
+    @model_validator(mode="after")
+    def _sizes_fit(self) -> PerceptionStage:
+        if self.minibatch > self.pool:
+            raise ValueError(f"minibatch {self.minibatch} is more than pool {self.pool} frames")
+        return self
+
+
+Stage = Annotated[PpoStage | ImitationStage | PerceptionStage, Field(discriminator="kind")]
 """What `stages` holds, told apart by `kind`."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from me3bev_cli.parallel_envs import ParallelEnvs
 from me3bev_cli.pipeline.assemble import configured
 from me3bev_cli.training.episodes import EpisodeMaker, Wrapping
+from me3bev_cli.training.replay import ReplayedEnvs
 from me3bev_cli.workers import cores
 
 if TYPE_CHECKING:
@@ -16,16 +19,25 @@ if TYPE_CHECKING:
     from me3bev_cli.recipe_stages import SimulatedStage
 
 
+def _to_stderr(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr)
+
+
 def make_environments(
-    recipe: Recipe, stage: SimulatedStage, first_episode: int = 0, around: Wrapping | None = None
-) -> VecEnv:
+    recipe: Recipe,
+    stage: SimulatedStage,
+    first_episode: int = 0,
+    around: Wrapping | None = None,
+    told: Callable[[str], None] = _to_stderr,
+) -> ReplayedEnvs:
     """The stage's environments: in worker processes, or one after another in this one when there is one worker.
 
-    What they play does not depend on the number of workers.
+    What they play does not depend on the number of workers, nor on whether one of them had to be started again.
 
     Args:
         first_episode: index of the first episode to play: a run that goes on does not repeat what it has seen.
         around: wraps each environment, in the process in which it lives; can be pickled.
+        told: called with a sentence when a worker has died or hangs and is started again.
     """
     choice = recipe.simulator_in(stage)
     cls, config = configured("simulator", choice)
@@ -47,4 +59,5 @@ def make_environments(
         for index in range(stage.envs)
     ]
     workers = min(stage.envs, stage.workers or cores())
-    return ParallelEnvs(makers, workers) if workers > 1 else DummyVecEnv(list(makers))
+    envs = ParallelEnvs(makers, workers) if workers > 1 else DummyVecEnv(list(makers))
+    return ReplayedEnvs(envs, [maker.first for maker in makers], stage.envs, told, stage.worker_timeout)

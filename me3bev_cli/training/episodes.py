@@ -22,6 +22,10 @@ class SeededEpisodes(gymnasium.Wrapper[Any, Any, Any, Any]):
         self.names = names
         self.next_index, self.stride = first, stride
 
+    def play_from(self, episode: int) -> None:
+        """Choose the episode of the next reset."""
+        self.next_index = episode
+
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin the next episode; a seed that is passed in is not used."""
         episode_seed = derive_seed(*self.names, self.next_index)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import torch
+from stable_baselines3.common.logger import Logger
 
+from me3bev_cli.errors import CheckpointError
 from me3bev_cli.pipeline.policy import DrivingPolicy
 from me3bev_cli.seeding import derive_seed
+from me3bev_cli.training.alarms import WORKER, guard_gradients, guard_outputs
 from me3bev_cli.training.environments import make_environments
 from me3bev_cli.training.monitor import Monitor
+from me3bev_cli.training.ppo_state import prepare
 from me3bev_cli.training.rollout import SequenceRolloutBuffer
 from me3bev_cli.training.sequence_ppo import SequencePPO
 from me3bev_cli.training.trainer import InterruptedTrainingError
@@ -25,32 +27,40 @@ class PpoRunner:
 
     def __init__(self, trainer: Trainer, stage: PpoStage) -> None:
         self.trainer, self.stage = trainer, stage
-        self._state: dict[str, Any] = {}
+        self._state: dict[str, Any] | None = None
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Optimiser and random states are taken up once the model has been made."""
+        """The state is taken up once the model and the environments have been made."""
+        if not {"environments", "monitor"} <= state.keys():
+            raise CheckpointError("the checkpoint is of another version of me3bev and cannot be gone on from")
         self._state = state
 
     def run(self) -> None:
-        """Train to the stage's last step."""
+        """Train to the stage's last step.
+
+        Raises:
+            InterruptedTrainingError: a stop was asked for.
+            AlarmError: something is wrong.
+        """
         trainer, stage = self.trainer, self.stage
-        env = make_environments(trainer.recipe, stage, trainer.progress.episodes)
+        remaining = stage.steps - trainer.progress.stage_steps
+        if remaining <= 0:
+            return
+        env = make_environments(trainer.recipe, stage, told=lambda text: trainer.warn(WORKER, text))
+        end = guard_outputs(trainer.network, trainer.run)
         try:
             model = self._model(env)
-            if self._state:
-                self._take_up(model)
+            guard_gradients(model.policy.optimizer, trainer.network, trainer.run)
+            if self._state is not None:
+                prepare(model, env, self._state, self._check_stop)
             model.num_timesteps = trainer.progress.stage_steps
             model.policy.before_minibatch = self._check_stop
-            remaining = stage.steps - trainer.progress.stage_steps
-            try:
-                if remaining > 0:
-                    model.learn(remaining, callback=Monitor(self, model), reset_num_timesteps=False)
-            except InterruptedTrainingError:
-                self.save(model)
-                raise
-            self.save(model)
-            self._check_stop()
+            monitor = Monitor(trainer, stage, env, self._state)
+            # The trainer writes the log; SB3's keeps the losses for it.
+            model.set_logger(Logger(None, []))
+            model.learn(remaining, callback=monitor, reset_num_timesteps=False)
         finally:
+            end()
             env.close()
 
     def _check_stop(self) -> None:
@@ -82,26 +92,15 @@ class PpoRunner:
                 "prefix": trainer.network.prefix,
                 "seed": derive_seed(recipe.seed, "minibatches", progress.stage, progress.stage_steps),
             },
-            policy_kwargs={"network": trainer.network, "frozen": stage.freeze},
+            policy_kwargs={
+                "network": trainer.network,
+                "frozen": stage.freeze,
+                "autocast": stage.autocast,
+                "microbatch": stage.microbatch,
+            },
             seed=derive_seed(recipe.seed, "actions", progress.stage),
             device=trainer.device,
         )
         # SB3 hands a schedule the share of steps that remain; a step decay must count steps from the stage's start.
         model.lr_schedule = lambda _: stage.learning_rate.at(model.num_timesteps)
         return model
-
-    def _take_up(self, model: SequencePPO) -> None:
-        model.policy.optimizer.load_state_dict(self._state["optimizer"])
-        torch.set_rng_state(self._state["torch_random"])
-        if "cuda_random" in self._state and torch.cuda.is_available():
-            torch.cuda.set_rng_state_all(self._state["cuda_random"])
-
-    def save(self, model: SequencePPO) -> Path:
-        """Write a checkpoint of the stage that is running."""
-        state: dict[str, Any] = {
-            "optimizer": model.policy.optimizer.state_dict(),
-            "torch_random": torch.get_rng_state(),
-        }
-        if self.trainer.device.type == "cuda":
-            state["cuda_random"] = torch.cuda.get_rng_state_all()
-        return self.trainer.save(state)

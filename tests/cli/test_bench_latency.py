@@ -121,7 +121,7 @@ def test_runs_with_scores(line_recipe: Path) -> None:
     for name, mean in (("good", 80.0), ("bad", 20.0), ("unscored", None)):
         folder = Path("runs") / name
         make_run(folder, dump(recipe))
-        save_checkpoint(folder, build_network(recipe, 0), recipe, Progress(total_steps=1), {})
+        save_checkpoint(folder, build_network(recipe, 0).state_dict(), recipe, Progress(total_steps=1), {})
         if mean is not None:
             row = {"map": "F1", "density": "low", "metric": "driving_score", "mean": mean, "low": 1, "high": 99, "n": 5}
             data = {"driver": "policy", "checkpoint": "x", "maps": ["F1"], "episodes": 5, "seed": 0, "rows": [row]}

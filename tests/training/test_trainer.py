@@ -84,12 +84,13 @@ def test_a_stop_saves_and_the_run_goes_on(line_recipe: Path, tmp_path: Path) -> 
     first.display.step = ask_at_100  # type: ignore[method-assign]
     with pytest.raises(InterruptedTrainingError):
         first.train()
-    assert load_progress(find_checkpoint(run)).total_steps == 100
+    # The rollout from step 96 was not finished: it is collected again.
+    assert load_progress(find_checkpoint(run)).total_steps == first.progress.total_steps == 96
     second = trainer(line_recipe, run)
     second.resume()
-    assert second.progress.total_steps == 100
+    assert second.progress.total_steps == 96
     second.train()
-    assert load_progress(find_checkpoint(run)).total_steps >= 192
+    assert load_progress(find_checkpoint(run)).total_steps == 192
 
 
 def test_updates_after_the_checkpoint_are_made_again(line_recipe: Path, tmp_path: Path) -> None:
@@ -142,8 +143,8 @@ def test_two_stages_run_in_order_and_frozen_parts_stay(line_recipe: Path, tmp_pa
 def test_the_learning_rate_steps_down_in_absolute_steps(line_recipe: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     trainer(line_recipe, run, "stages.0.learning_rate={initial: 0.01, drop: 0.5, every: 64}").train()
-    # A row holds the rate of the update before it: after 32 steps 0.01, after 64 and 96 half of it, and so on.
-    assert [row.get("learning_rate") for row in read_metrics(run)] == [None, 0.01, 0.005, 0.005, 0.0025, 0.0025]
+    # An update counts the steps of the rollout that it learns from: after 32 the full rate, after 64 and 96 half of it.
+    assert [row["learning_rate"] for row in read_metrics(run)] == [0.01, 0.005, 0.005, 0.0025, 0.0025, 0.00125]
 
 
 def test_every_episode_has_a_seed_of_its_own(line_recipe: Path) -> None:
