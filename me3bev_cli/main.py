@@ -8,7 +8,18 @@ import typer
 from typer.core import TyperGroup
 
 from me3bev_cli import __version__
-from me3bev_cli.commands import bench_env, bench_latency, collect, decode, drive, maps, plugins, recipe, train
+from me3bev_cli.commands import (
+    bench_env,
+    bench_latency,
+    bench_train,
+    collect,
+    decode,
+    drive,
+    maps,
+    plugins,
+    recipe,
+    train,
+)
 from me3bev_cli.commands import eval as evaluation
 from me3bev_cli.errors import UserError
 
@@ -79,6 +90,7 @@ app.command(cls=drive.DriveCommand)(drive.drive)
 app.command()(decode.decode)
 app.command()(bench_latency.bench_latency)
 app.command()(bench_env.bench_env)
+app.command()(bench_train.bench_train)
 app.add_typer(maps.app, name="maps", rich_help_panel=HELPERS)
 app.add_typer(recipe.app, name="recipe", rich_help_panel=HELPERS)
 app.command(rich_help_panel=HELPERS)(plugins.plugins)

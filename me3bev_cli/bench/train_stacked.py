@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch import Tensor
 
 from me3bev_cli.pipeline.network import Decision, Network
-from me3bev_cli.pipeline.policy import PARTS, STARTS
+from me3bev_cli.pipeline.policy import PARTS, STARTS, Precision, computing
 
 Stacks = dict[str, NDArray[Any]]
 
@@ -86,18 +86,21 @@ class StackedPolicy(BasePolicy):
         network: Network,
         frozen: tuple[str, ...] = (),
         microbatch: int | None = None,
+        autocast: Precision | None = None,
     ) -> None:
         super().__init__(observation_space, action_space, squash_output=False, normalize_images=False)
         self.network = network
         network.freeze(getattr(network, name) for part in frozen for name in PARTS[part])
         network.microbatch = microbatch
+        self.autocast = autocast
         trained = [p for p in network.parameters() if p.requires_grad]
         self.optimizer = torch.optim.Adam(trained, lr=lr_schedule(1), eps=1e-5)
 
     def _decide(self, obs: Any) -> Decision:
         """Stacks (B, T, ...) -> decisions of their last frames."""
         frames = {key: value.flatten(0, 1) for key, value in obs.items() if key != STARTS}
-        return self.network.evaluate(frames, {}, obs[STARTS].bool())
+        with computing(self.network.device, self.autocast):
+            return self.network.evaluate(frames, {}, obs[STARTS].bool())
 
     def forward(self, obs: Any, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
         """Actions (B, 2), values (B,) and log-probabilities (B,): SB3 calls this while collecting."""

@@ -40,6 +40,11 @@ def settled_embeddings(network: Network, frozen: Iterable[str]) -> dict[str, tup
     return {name: shape for name, shape in network.embedding_shapes.items() if name in settled}
 
 
+def computing(device: torch.device, autocast: Precision | None) -> AbstractContextManager[None]:
+    """The context in which a network is computed in a shorter type; None: in its own."""
+    return nullcontext() if autocast is None else torch.autocast(device.type, getattr(torch, autocast))
+
+
 class DrivingPolicy(BasePolicy):
     """Wraps a `Network`; PPO's loss calls `evaluate_actions`, collection calls `network.advance`.
 
@@ -80,9 +85,7 @@ class DrivingPolicy(BasePolicy):
 
     def computing(self) -> AbstractContextManager[None]:
         """The context in which the network runs, in collection as in the update."""
-        if self.autocast is None:
-            return nullcontext()
-        return torch.autocast(self.network.device.type, getattr(torch, self.autocast))
+        return computing(self.network.device, self.autocast)
 
     def evaluate_actions(self, obs: PyTorchObs, actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, log-probabilities and entropies (B L,) of segments, as PPO's loss needs them."""

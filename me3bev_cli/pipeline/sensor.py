@@ -45,7 +45,8 @@ class Sensor(nn.Module):
 
     def images(self, observation: Mapping[str, Tensor]) -> Tensor:
         """(N, C, 3, H, W) uint8 -> float, normalised."""
-        return (observation["images"].to(self.mean.dtype) - self.mean) / self.deviation
+        # The difference is a new tensor, so it may be divided where it is.
+        return torch.sub(observation["images"], self.mean).div_(self.deviation)
 
     def vectors(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """`vr` (N, 13): vehicle then road features; `nav` (N, 5). Those whose features are there."""
