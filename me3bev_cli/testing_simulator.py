@@ -9,6 +9,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from me3bev_cli.api import (
+    ACTOR_KINDS,
     BEV_CLASSES,
     NAVIGATION_WIDTH,
     ROAD_WIDTH,
@@ -97,7 +98,7 @@ def _check_record(cls: Any, info: dict[str, Any]) -> None:
             else isinstance(value, kind)
         )
         require(cls, fits, f"the record's `{name}` is a {kind.__name__}", repr(value))
-        finite = kind is not float or name == "traffic_speed" or bool(np.isfinite(value))
+        finite = kind is not float or name in ("traffic_speed", "background_speed") or bool(np.isfinite(value))
         require(cls, finite, f"the record's `{name}` is finite", value)
     said = (record or {})["collision"], (record or {})["contact"]
     known = said[0] in COLLISIONS and said[1] in CONTACTS and bool(said[0]) == bool(said[1])
@@ -111,10 +112,26 @@ def _check_extras(cls: Any, env: Any) -> None:
     classes = env.unwrapped.bev_semantics()
     fits = classes.shape == (200, 200) and classes.dtype == np.uint8 and int(classes.max()) < len(BEV_CLASSES)
     require(cls, fits, "bev_semantics() is (200, 200) uint8 of known classes", (classes.shape, classes.dtype))
+    _check_others(cls, env)
     for size in PLAN_SIZES:
         plan = env.unwrapped.plan_view(size)
         fits = plan.shape == (size, size, 3) and plan.dtype == np.uint8
         require(cls, fits, f"plan_view({size}) is ({size}, {size}, 3) uint8", (plan.shape, plan.dtype))
+
+
+def _check_others(cls: Any, env: Any) -> None:
+    """The methods that an environment may leave out."""
+    world = env.unwrapped
+    if hasattr(world, "actors"):
+        boxes, kinds, speeds = world.actors()
+        fits = boxes.shape == (len(boxes), 7) and kinds.shape == speeds.shape == (len(boxes),)
+        require(cls, fits, "actors() gives boxes (A, 7), kinds (A,) and speeds (A,)", (boxes.shape, kinds.shape))
+        known = bool(((kinds >= 0) & (kinds < len(ACTOR_KINDS))).all()) and bool(np.isfinite(boxes).all())
+        require(cls, known, f"the kinds of actors are indices of {ACTOR_KINDS}, their boxes finite", kinds)
+    if hasattr(world, "route_line"):
+        line = world.route_line()
+        fits = line.ndim == 2 and line.shape[1] == 3 and bool(np.isfinite(line).all())
+        require(cls, fits, "route_line() is (P, 3), finite", line.shape)
 
 
 def _check_weather(

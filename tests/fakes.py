@@ -15,7 +15,7 @@ from gymnasium import spaces
 from torch import nn
 
 from me3bev_cli import registry
-from me3bev_cli.api import Camera, ObservationConfig, PluginConfig, Rig, SpatialOutput, StepRecord, TokenSpec
+from me3bev_cli.api import Actors, Camera, ObservationConfig, PluginConfig, Rig, SpatialOutput, StepRecord, TokenSpec
 from me3bev_cli.errors import unknown_name
 from me3bev_cli.seeding import derive_seed
 
@@ -73,9 +73,9 @@ class LineEnv(gymnasium.Env[dict[str, Any], Any]):
             time=0.1 * self.steps, x=self.x, y=0.0, heading=0.0, speed=self.speed, acceleration=0.0,
             lateral_acceleration=0.0, yaw_rate=0.0, steering=float(action[0]), longitudinal=float(action[1]),
             waypoint_x=self.x + 2, waypoint_y=0.0, similarity=1.0, waypoint_distance=2.0, speed_limit=10.0,
-            traffic_speed=float("nan"), route_done=self.x, route_length=5.0, off_route=0.0, off_road=False,
-            collision="vehicle" if hit else "", at_fault=hit,
-            contact="front" if hit else "", red_light=False, stop_sign=False, lane_departure=False,
+            traffic_speed=float("nan"), background_speed=float("nan"), route_done=self.x,
+            route_length=5.0, off_route=0.0, off_road=False, collision="vehicle" if hit else "", at_fault=hit,
+            contact="front" if hit else "", red_light=False, red_met=False, stop_sign=False, lane_departure=False,
             reward=self.speed,
         )  # fmt: skip
         truncated = self.steps >= LENGTH
@@ -93,6 +93,19 @@ class LineEnv(gymnasium.Env[dict[str, Any], Any]):
         classes[:, 90:110] = 1
         classes[40 + 10 * (self.steps % 4) : 60 + 10 * (self.steps % 4), 95:100] = 6
         return classes
+
+    def camera_truth(self) -> tuple[Any, Any]:
+        count, _, height, width = self.observation_space["images"].shape
+        depth = np.full((count, height, width), 5.0 + self.steps, np.float32)
+        depth[:, : height // 2] = np.inf
+        return depth, np.isfinite(depth).astype(np.uint8)
+
+    def actors(self) -> Actors:
+        boxes = np.array([[self.x + 10.0, 2.0, 0.0, 0.5, 4.0, 2.0, 1.5], [0.0, -3.0, 0.0, -2.0, 0.5, 0.5, 1.8]])
+        return Actors(boxes, np.array([0, 4]), np.array([3.0, 1.0]))
+
+    def route_line(self) -> Any:
+        return np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
 
     def plan_view(self, size: int) -> Any:
         return np.full((size, size, 3), self.steps, np.uint8)

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import gymnasium
+    import numpy as np
+    from numpy.typing import NDArray
 
 ROAD_WIDTH, VEHICLE_WIDTH, NAVIGATION_WIDTH = 9, 4, 5
 """Widths of R, V and N (Section 3.1)."""
@@ -62,6 +64,8 @@ class StepRecord(TypedDict):
     """m/s."""
     traffic_speed: float
     """Mean speed of the other vehicles within 50 m, m/s; NaN when there are none."""
+    background_speed: float
+    """Mean speed of all other vehicles on the map, m/s; NaN when there are none."""
     route_done: float
     route_length: float
     """Metres along the route."""
@@ -76,12 +80,30 @@ class StepRecord(TypedDict):
     """"" or where on the ego the contact is: front, side, rear."""
     red_light: bool
     """True in the step in which the ego crossed a stop line on red."""
+    red_met: bool
+    """True in the step in which a light ahead of the ego, at most 20 m before the stop line of its own lane, is first
+    seen red; once until its line is crossed. A light that is run has been met, in that step at the latest."""
     stop_sign: bool
     """True in the step in which the ego ran a stop sign."""
     lane_departure: bool
     """True in the step in which the ego's centre left its lane for the opposite direction or for no road at all; a
     change to a lane of the same direction is none, nor is anything inside a junction."""
     reward: float
+
+
+ACTOR_KINDS = ("car", "van", "truck", "motorcycle", "pedestrian")
+"""What `Actors.kinds` counts through."""
+
+
+class Actors(NamedTuple):
+    """The A other road users at one instant, world frame."""
+
+    boxes: NDArray[np.float64]
+    """(A, 7) x, y, z of the middle of the underside, heading, length, width, height."""
+    kinds: NDArray[np.int64]
+    """(A,) of `ACTOR_KINDS`, by index."""
+    speeds: NDArray[np.float64]
+    """(A,) m/s along the heading."""
 
 
 class MapEntry(NamedTuple):
@@ -170,7 +192,11 @@ class SimulatorPlugin(Protocol):
         `info["weather"]` the episode's weather.
         The unwrapped environment has `autopilot() -> action`, a rule-based driver's choice for the current
         state, `pose() -> (x, y, heading)` of the ego, and `bev_semantics() -> (200, 200) uint8`, classes as
-        `BEV_CLASSES`, row 0 farthest ahead, column 0 farthest left, 0.5 m per cell, and
+        `BEV_CLASSES`, row 0 farthest ahead, column 0 farthest left, 0.5 m per cell,
+        `camera_truth() -> (depth (C, H, W) float32, classes (C, H, W) uint8)`, of every pixel the metres along the
+        optical axis, inf where nothing is, and the class as `BEV_CLASSES`, and
         `plan_view(size) -> (size, size, 3) uint8`, the surroundings from above with the route, for people.
+        It may have `actors() -> Actors`, the others now, and `route_line() -> (P, 3)`, the route's centre line,
+        world frame, metres: logs keep them for viewers.
         """
         ...

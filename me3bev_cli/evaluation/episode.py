@@ -17,7 +17,7 @@ from me3bev_cli.api import StepRecord
 from me3bev_cli.errors import LogError, PluginError
 from me3bev_cli.files import atomic_write_bytes
 
-FORMAT = 2
+FORMAT = 3
 """Version of the file format, kept in the header."""
 
 COLLISIONS = ("", "vehicle", "pedestrian", "static")
@@ -34,6 +34,17 @@ _TYPES = {float: "<f8", bool: "?", str: "<U10"}
 STEP_DTYPE = np.dtype([(name, _TYPES[kind]) for name, kind in get_type_hints(StepRecord).items()])
 """One step as it is kept: a field for each of `StepRecord`."""
 
+_LATER = {2: {"background_speed", "red_met"}}
+"""Fields that older formats, which are still read, do not have."""
+DTYPES = {
+    **{
+        number: np.dtype([(name, STEP_DTYPE[name]) for name in STEP_DTYPE.names or () if name not in later])
+        for number, later in _LATER.items()
+    },
+    FORMAT: STEP_DTYPE,
+}
+"""Format -> its steps."""
+
 
 @dataclass(frozen=True, eq=False)
 class Episode:
@@ -45,7 +56,7 @@ class Episode:
         index: of the episode within its cell of map and density.
         driver: who drove.
         ended: why it ended.
-        steps: (T,) of `STEP_DTYPE`, at least one.
+        steps: (T,) of `STEP_DTYPE`, at least one; of fewer fields where the log is older.
     """
 
     map: str
@@ -65,6 +76,10 @@ class Episode:
         column: NDArray[Any] = self.steps[name]
         return column
 
+    def has(self, name: str) -> bool:
+        """Whether there is a column: an older log lacks what was recorded later."""
+        return name in (self.steps.dtype.names or ())
+
     @property
     def finished(self) -> bool:
         """Whether the route was driven to its end."""
@@ -82,7 +97,8 @@ class Episode:
 
     def save(self, path: Path) -> None:
         """Write the log, whole or not at all. The same episode gives the same bytes."""
-        header = {key: value for key, value in vars(self).items() if key != "steps"} | {"format": FORMAT}
+        form = next(number for number, fields in DTYPES.items() if fields == self.steps.dtype)
+        header = {key: value for key, value in vars(self).items() if key != "steps"} | {"format": form}
         buffer = io.BytesIO()
         np.savez_compressed(buffer, header=np.array(json.dumps(header)), steps=self.steps)
         atomic_write_bytes(path, buffer.getvalue())
@@ -144,9 +160,11 @@ def load(path: Path) -> Episode:
         raise LogError("there is no such log", where=str(path)) from None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise LogError(f"the log is damaged or truncated ({error})", where=str(path)) from error
-    if not isinstance(header, dict) or header.pop("format", None) != FORMAT:
-        raise LogError("the log has a format that this version does not read", where=str(path), allowed=str(FORMAT))
-    if steps.dtype != STEP_DTYPE or steps.ndim != 1 or not len(steps) or header.get("ended") not in get_args(Ending):
+    form = header.pop("format", None) if isinstance(header, dict) else None
+    if form not in DTYPES:
+        known = ", ".join(map(str, DTYPES))
+        raise LogError("the log has a format that this version does not read", where=str(path), allowed=known)
+    if steps.dtype != DTYPES[form] or steps.ndim != 1 or not len(steps) or header.get("ended") not in get_args(Ending):
         raise LogError("the log does not hold an episode's steps", where=str(path))
     try:
         return Episode(**header, steps=steps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,19 @@ def test_a_log_gives_back_the_episode(tmp_path: Path) -> None:
     assert path.stat().st_size < 4000
 
 
+def test_an_older_log_is_read_without_what_it_lacks(tmp_path: Path) -> None:
+    drive = episode(3, speed=[1, 2, 3])
+    names = [name for name in STEP_DTYPE.names or () if name not in ("background_speed", "red_met")]
+    header = {key: value for key, value in vars(drive).items() if key != "steps"}
+    packed = np.array([tuple(step) for step in drive.steps[names]], [(name, STEP_DTYPE[name]) for name in names])
+    np.savez_compressed(tmp_path / "old.npz", header=json.dumps(header | {"format": 2}), steps=packed)
+    old = load(tmp_path / "old.npz")
+    assert old["speed"].tolist() == [1, 2, 3]
+    assert (old.has("speed"), old.has("red_met")) == (True, False)
+    old.save(tmp_path / "again.npz")
+    assert load(tmp_path / "again.npz").steps.tobytes() == old.steps.tobytes()
+
+
 def test_why_an_episode_ended() -> None:
     last = records(1)[0]
     driven = {**last, "route_done": 30.0, "collision": ""}
@@ -85,14 +99,14 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="there is no such log"):
         load(path)
     np.savez(path, header=np.array('{"format": 99}'), steps=np.zeros(3))
-    with pytest.raises(LogError, match=r"a format that this version does not read\. Allowed: 2"):
+    with pytest.raises(LogError, match=r"a format that this version does not read\. Allowed: 2, 3"):
         load(path)
-    np.savez(path, header=np.array('{"format": 2, "ended": "timeout"}'), steps=np.zeros(3))
+    np.savez(path, header=np.array('{"format": 3, "ended": "timeout"}'), steps=np.zeros(3))
     with pytest.raises(LogError, match="does not hold an episode's steps"):
         load(path)
-    np.savez(path, header=np.array('{"format": 2, "ended": "timeout"}'), steps=np.zeros(3, STEP_DTYPE))
+    np.savez(path, header=np.array('{"format": 3, "ended": "timeout"}'), steps=np.zeros(3, STEP_DTYPE))
     with pytest.raises(LogError, match="header is not an episode's"):
         load(path)
-    np.savez(path, header=np.array([{"format": 2}], dtype=object), steps=np.zeros(3))
+    np.savez(path, header=np.array([{"format": 3}], dtype=object), steps=np.zeros(3))
     with pytest.raises(LogError, match="damaged"):
         load(path)

@@ -24,8 +24,9 @@ def record(**changes: Any) -> StepRecord:
         "time": 1.0, "x": 0.0, "y": 0.0, "heading": 0.0, "speed": 8.0, "acceleration": 0.0,
         "lateral_acceleration": 0.0, "yaw_rate": 0.0, "steering": 0.0, "longitudinal": 0.0, "waypoint_x": 2.0,
         "waypoint_y": 0.0, "similarity": 1.0, "waypoint_distance": 2.0, "speed_limit": 10.0,
-        "traffic_speed": float("nan"), "route_done": 5.0, "route_length": 50.0, "off_route": 0.0, "off_road": False,
-        "collision": "", "at_fault": False, "contact": "", "red_light": False, "stop_sign": False,
+        "traffic_speed": float("nan"), "background_speed": float("nan"), "route_done": 5.0, "route_length": 50.0,
+        "off_route": 0.0, "off_road": False,
+        "collision": "", "at_fault": False, "contact": "", "red_light": False, "red_met": False, "stop_sign": False,
         "lane_departure": False, "reward": 8.0,
     }  # fmt: skip
     return {**quiet, **changes}  # type: ignore[typeddict-item]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from me3bev_plugins.simulator.highway.compiled import kernel
+from me3bev_plugins.simulator.highway.features import NEAR_LIGHT
 from me3bev_plugins.simulator.highway.lane_grid import Place
 from me3bev_plugins.simulator.highway.scene import Ego, Light
 from me3bev_plugins.simulator.highway.town import Floats, Town
@@ -21,32 +22,39 @@ STANDING = 0.5
 """Slower than this is a stop, m/s."""
 LEVEL = 2.5
 """Lines farther away in height are not crossed, metres."""
+AHEAD = math.cos(math.radians(60))
+"""Cosine of the greatest angle at which the ego heads for a line."""
 RED = int(Light.RED)
 
 
 class Infractions(NamedTuple):
-    """What was broken in one step."""
+    """What was broken in one step, and whether there was a red light to break."""
 
     red_light: bool
     stop_sign: bool
+    red_met: bool = False
 
 
 @kernel
 def _pass_lines(
-    pose: tuple[float, float, float, float],
+    pose: tuple[float, float, float, float, float, float],
     lines: NDArray[Any],
     signal: NDArray[Any],
     lights: NDArray[Any],
     before: NDArray[Any],
     stopped: NDArray[Any],
-) -> tuple[bool, bool]:
-    """Move the ego's front (x, y, z, and its speed) on: whether it ran a red light, whether a stop sign.
+    met: NDArray[Any],
+) -> tuple[bool, bool, bool]:
+    """Move the ego's front (x, y, z, the cosine and sine of its heading, its speed) on.
+
+    Returns whether it ran a red light, whether a stop sign, whether it met a light that is red and had not met it yet.
 
     `lines` (Q, 6) holds each line's x, y, z, the cosine and sine of its lane's heading and half the lane's width.
-    `before` (Q,), metres beyond each line (negative: before it), and `stopped` (Q,) are brought up to date.
+    `before` (Q,), metres beyond each line (negative: before it), `stopped` (Q,), and `met` (S,) of each light are
+    brought up to date.
     """
-    x, y, z, speed = pose
-    ran_red = ran_stop = False
+    x, y, z, ahead_x, ahead_y, speed = pose
+    ran_red = ran_stop = met_red = False
     for i in range(len(lines)):
         dx, dy, cos, sin = x - lines[i, 0], y - lines[i, 1], lines[i, 3], lines[i, 4]
         beyond = dx * cos + dy * sin
@@ -56,14 +64,19 @@ def _pass_lines(
             crossed = before[i] < 0.0 <= beyond and beyond - before[i] < 10.0
             if -BEFORE_LINE <= beyond < 0.0 and speed < STANDING:
                 stopped[i] = True
+            ahead = -NEAR_LIGHT <= beyond < 0.0 and ahead_x * cos + ahead_y * sin > AHEAD
+            if signal[i] >= 0 and (crossed or ahead) and lights[signal[i]] == RED and not met[signal[i]]:
+                met[signal[i]] = True
+                met_red = True
         if crossed and signal[i] >= 0:
             ran_red |= lights[signal[i]] == RED
+            met[signal[i]] = False
         elif crossed:
             ran_stop |= not stopped[i]
         if crossed or beyond >= BEFORE_LINE:
             stopped[i] = False
         before[i] = beyond
-    return ran_red, ran_stop
+    return ran_red, ran_stop, met_red
 
 
 class StopLines:
@@ -81,21 +94,24 @@ class StopLines:
         self._signal = np.array([signal for _, signal in rows], np.int64)
         self._stopped = np.zeros(len(rows), bool)
         self._before = np.zeros(len(rows))
+        self._met = np.zeros(self._signal.max(initial=-1) + 1, bool)
 
     def reset(self, ego: Ego) -> None:
         """Start watching at the ego's pose."""
         self._before[:] = np.inf  # Nothing is crossed on the way here.
-        self._move(ego, np.zeros(self._signal.max(initial=-1) + 1, np.int32))
+        self._move(ego, np.zeros(len(self._met), np.int32))
         self._stopped[:] = False
+        self._met[:] = False
 
     def update(self, ego: Ego, lights: NDArray[np.int32]) -> Infractions:
         """Judge one step that ended at the ego's pose with the given lights (S,)."""
         return self._move(ego, lights)
 
     def _move(self, ego: Ego, lights: NDArray[np.int32]) -> Infractions:
-        half = ego.length / 2
-        front = (ego.x + half * math.cos(ego.heading), ego.y + half * math.sin(ego.heading), ego.z, ego.speed)
-        return Infractions(*_pass_lines(front, self._lines, self._signal, lights, self._before, self._stopped))
+        half, cos, sin = ego.length / 2, math.cos(ego.heading), math.sin(ego.heading)
+        front = (ego.x + half * cos, ego.y + half * sin, ego.z, cos, sin, ego.speed)
+        state = self._before, self._stopped, self._met
+        return Infractions(*_pass_lines(front, self._lines, self._signal, lights, *state))
 
 
 def inside_polygon(polygon: Floats, x: float, y: float) -> bool:

@@ -79,23 +79,36 @@ def _gather_speeds(
     z: float,
     actors: tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]],
     near: NDArray[Any],
-) -> int:
-    """Put the speeds of the vehicles about a point first into `near`; how many they are. `actors`: x y z kind speed."""
+    every: NDArray[Any],
+) -> tuple[int, int]:
+    """Put the speeds of the vehicles about a point first into `near`, those of all vehicles into `every`.
+
+    Returns how many they are. `actors`: x y z kind speed.
+    """
     xs, ys, zs, kinds, speeds = actors
-    count = 0
+    count = total = 0
     for i in range(len(xs)):
-        if kinds[i] != PEDESTRIAN and abs(zs[i] - z) <= LEVEL and np.hypot(xs[i] - x, ys[i] - y) <= TRAFFIC_RADIUS:
+        if kinds[i] == PEDESTRIAN:
+            continue
+        every[total] = speeds[i]
+        total += 1
+        if abs(zs[i] - z) <= LEVEL and np.hypot(xs[i] - x, ys[i] - y) <= TRAFFIC_RADIUS:
             near[count] = speeds[i]
             count += 1
-    return count
+    return count, total
 
 
-def traffic_speed(scene: Scene) -> float:
-    """Mean speed of the vehicles within 50 m of the ego, m/s; NaN when there are none."""
+def traffic_speeds(scene: Scene) -> tuple[float, float]:
+    """Mean speeds of the vehicles within 50 m of the ego, and of all of them, m/s; NaN when there are none."""
     ego, actors = scene.ego, scene.actors
-    near = np.empty(len(actors))
-    count = _gather_speeds(ego.x, ego.y, ego.z, (actors.x, actors.y, actors.z, actors.kind, actors.speed), near)
-    return float(np.add.reduce(near[:count])) / count if count else math.nan
+    near, every = np.empty(len(actors)), np.empty(len(actors))
+    columns = (actors.x, actors.y, actors.z, actors.kind, actors.speed)
+    count, total = _gather_speeds(ego.x, ego.y, ego.z, columns, near, every)
+    return _mean(near[:count]), _mean(every[:total])
+
+
+def _mean(values: Floats) -> float:
+    return float(np.add.reduce(values)) / len(values) if len(values) else math.nan
 
 
 def step_record(
@@ -114,6 +127,7 @@ def step_record(
 ) -> StepRecord:
     """The report of one step. The lateral acceleration is that of the turn: speed times yaw rate."""
     pose: Ego = scene.ego
+    near_speed, background_speed = traffic_speeds(scene)
     return StepRecord(
         time=time,
         x=pose.x,
@@ -130,7 +144,8 @@ def step_record(
         similarity=situation.similarity,
         waypoint_distance=situation.waypoint_distance,
         speed_limit=situation.limit,
-        traffic_speed=traffic_speed(scene),
+        traffic_speed=near_speed,
+        background_speed=background_speed,
         route_done=min(tracker.progress, tracker.route.length),
         route_length=tracker.route.length,
         off_route=tracker.off_route,
@@ -139,6 +154,7 @@ def step_record(
         at_fault=bool(hit and hit.at_fault),
         contact=hit.contact if hit else "",
         red_light=broken.red_light,
+        red_met=broken.red_met,
         stop_sign=broken.stop_sign,
         lane_departure=lane_departure,
         reward=reward,

@@ -48,9 +48,9 @@ class ScriptedEnv(gymnasium.Env[dict[str, Any], Any]):
             time=0.1 * self.steps, x=self.x, y=0.0, heading=0.0, speed=speed, acceleration=0.0,
             lateral_acceleration=0.0, yaw_rate=0.0, steering=float(action[0]), longitudinal=float(action[1]),
             waypoint_x=self.x + 2, waypoint_y=0.0, similarity=1.0, waypoint_distance=2.0, speed_limit=10.0,
-            traffic_speed=5.0 if self.place != "M3" else float("nan"), route_done=self.x, route_length=30.0,
-            off_route=0.0, off_road=False, collision="vehicle" if hit else "", at_fault=hit,
-            contact="front" if hit else "", red_light=False, stop_sign=False,
+            traffic_speed=5.0 if self.place != "M3" else float("nan"), background_speed=4.0,
+            route_done=self.x, route_length=30.0, off_route=0.0, off_road=False, collision="vehicle" if hit else "", at_fault=hit,
+            contact="front" if hit else "", red_light=False, red_met=False, stop_sign=False,
             lane_departure=False, reward=speed,
         )  # fmt: skip
         over = hit or self.x >= 30.0

@@ -236,9 +236,13 @@ def test_traffic_speed_is_the_mean_of_the_near() -> None:
         assert record["traffic_speed"] == pytest.approx(sum(near) / len(near))
     else:
         assert math.isnan(record["traffic_speed"])
+    everybody = [v for v, kind in zip(scene.actors.speed, scene.actors.kind, strict=True) if kind != 4]
+    assert record["background_speed"] == pytest.approx(sum(everybody) / len(everybody))
     env = alone()
     env.reset(seed=4)
-    assert math.isnan(env.step(np.zeros(2))[4]["record"]["traffic_speed"])
+    record = env.step(np.zeros(2))[4]["record"]
+    assert math.isnan(record["traffic_speed"])
+    assert math.isnan(record["background_speed"])
 
 
 def test_following_the_route_pays_and_nothing_else_does() -> None:

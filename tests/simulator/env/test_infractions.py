@@ -27,7 +27,7 @@ def drive(town: Town, poses: Sequence[tuple[float, float, float, float]], light:
         for x, y, heading, speed in poses
     ]
     lines.reset(egos[0])
-    return [lines.update(ego, lights) for ego in egos[1:]]
+    return [lines.update(ego, lights)._replace(red_met=False) for ego in egos[1:]]
 
 
 @pytest.mark.parametrize(
@@ -100,3 +100,39 @@ def test_a_stop_counts_for_one_passage_and_a_yield_sign_asks_for_none(town: Town
     assert [b.stop_sign for b in drive(town, stopped + again, Light.GREEN)] == [False, False, False, True]
     yields = replace(town, signs=(replace(town.signs[0], kind="yield"),))
     assert drive(yields, [(70, 109.0, north, 9), (70, 110.5, north, 9)], Light.GREEN) == [NONE]
+
+
+def met(town: Town, poses: Sequence[tuple[float, float, float, float]], lights: Sequence[Light]) -> list[bool]:
+    """Whether a red light is met at each pose after the first, with the light then."""
+    lines = StopLines(town)
+    egos = [Ego(x - FRONT * math.cos(h), y - FRONT * math.sin(h), 0.0, h, speed) for x, y, h, speed in poses]
+    lines.reset(egos[0])
+    colours = [np.array([light], np.int32) for light in lights]
+    return [lines.update(ego, colour).red_met for ego, colour in zip(egos[1:], colours, strict=True)]
+
+
+def test_a_red_light_is_met_once_within_twenty_metres_of_its_line(town: Town) -> None:
+    # The line is at x = 60.
+    poses = [(x, 0, 0, 9) for x in (38.0, 39.0, 41.0, 50.0, 59.0, 61.0, 62.0)]
+    assert met(town, poses, [Light.RED] * 6) == [False, True, False, False, False, False]
+    assert met(town, poses, [Light.GREEN] * 3 + [Light.RED, Light.GREEN, Light.RED]) == [False] * 3 + [
+        True,
+        False,
+        False,
+    ]
+    assert not any(met(town, poses, [Light.GREEN, Light.AMBER, Light.OFF, Light.AMBER, Light.GREEN, Light.GREEN]))
+
+
+def test_a_red_light_is_met_by_who_heads_for_it_on_its_lane(town: Town) -> None:
+    for pose in ((50.0, 3.5, 0.0, 9), (50.0, 0.0, math.pi, 9), (50.0, 0.0, math.pi / 2, 9)):
+        assert met(town, [(50.0, 0.0, math.pi, 0), pose], [Light.RED]) == [False]
+
+
+def test_a_light_that_is_run_was_met(town: Town) -> None:
+    # From the lane beside it, straight over the line.
+    assert met(town, [(59.0, 2.0, 0, 9), (60.5, 1.0, 0, 9)], [Light.RED]) == [True]
+
+
+def test_a_light_can_be_met_again_once_it_is_passed(town: Town) -> None:
+    poses = [(x, 0, 0, 9) for x in (50.0, 51.0, 59.0, 61.0, 50.0, 51.0)]
+    assert met(town, poses, [Light.RED] * 5) == [True, False, False, True, False]
