@@ -33,10 +33,6 @@ class Taught(gymnasium.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(action)
         return observation, reward, terminated, truncated, info | {LABEL: self._label()}
 
-    def play_from(self, index: int) -> None:
-        """Let the next reset begin the episode of an index (`SeededEpisodes`)."""
-        self.env.set_wrapper_attr("next_index", index)
-
     def _label(self) -> Floats:
         return np.clip(np.asarray(self.env.unwrapped.autopilot(), np.float32), -1.0, 1.0)  # type: ignore[attr-defined]
 
@@ -70,6 +66,7 @@ class Round:
         self.guided = np.zeros(shape, np.bool_)
         """Where the autopilot drove."""
         self.rewards = np.zeros(shape, np.float32)
+        """As learned from, not scaled."""
         self.ended = np.zeros(shape, np.bool_)
         """The episode ended with this step, for good."""
         self.cut = np.zeros(shape, np.bool_)

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
 from me3bev_cli.pipeline.network import embedding_key
 from me3bev_cli.pipeline.policy import settled_embeddings
-from me3bev_cli.pipeline.transfer import to_tensors
+from me3bev_cli.pipeline.transfer import to_device, to_tensors
+from me3bev_cli.training.alarms import check_rewards
 from me3bev_cli.training.demonstrations import LABEL, Arrays, Floats, Round, drifting_noise
+from me3bev_cli.training.imitation_learning import computing
+from me3bev_cli.training.replay import ReplayedEnvs
+from me3bev_cli.training.shaped_reward import PLAIN
 
 if TYPE_CHECKING:
     from me3bev_cli.pipeline.network import Network
@@ -31,6 +34,8 @@ class Outcome:
     round: Round
     next_first: int
     """Index of the first episode that no environment has begun."""
+    rewards: list[float] = field(default_factory=list)
+    """The simulator's own, whatever the recipe adds to it."""
     student_episodes: list[dict[str, float]] = field(default_factory=list)
     """Collision and route completion of the episodes that the policy drove to their end."""
 
@@ -42,7 +47,7 @@ class RoundDriver:
     driven again by the same policy is the same round.
     """
 
-    def __init__(self, env: VecEnv, network: Network, stage: ImitationStage, device: torch.device) -> None:
+    def __init__(self, env: ReplayedEnvs, network: Network, stage: ImitationStage, device: torch.device) -> None:
         self.env, self.network, self.stage, self.device = env, network, stage, device
 
     def drive(
@@ -73,6 +78,8 @@ class RoundDriver:
                 actions = np.where(guided[:, None], np.clip(labels + noise[row], -1, 1), own)
             one.labels[row], one.actions[row], one.guided[row] = labels, actions, guided
             observation, rewards, dones, infos = self.env.step(one.actions[row])  # type: ignore[assignment]
+            check_rewards(rewards, self.env.episodes)
+            outcome.rewards += [float(info.get(PLAIN, reward)) for info, reward in zip(infos, rewards, strict=True)]
             cut = np.array([bool(info.get("TimeLimit.truncated", False)) for info in infos])
             one.rewards[row], one.ended[row], one.cut[row] = rewards, dones & ~cut, dones & cut
             labels = np.stack(
@@ -100,17 +107,19 @@ class RoundDriver:
         settled = settled_embeddings(self.network, self.stage.freeze)
         if not settled:
             return frames, observation
-        embeddings = self.network.encode(frames)
+        with computing(self.stage.autocast, self.device):
+            embeddings = self.network.encode(frames)
         kept = {key: value for key, value in observation.items() if key != "images" or "bev" not in settled}
         for name in settled:
-            frames[embedding_key(name)] = embeddings[name]
+            frames[embedding_key(name)] = embeddings[name].float()
             kept[embedding_key(name)] = embeddings[name].float().cpu().numpy()
         return frames, kept
 
     @torch.no_grad()
     def _decide(self, frames: dict[str, torch.Tensor], state: Any, starts: NDArray[np.bool_]) -> tuple[Floats, Any]:
         """The policy's mean actions (n, 2), and its memory after them."""
-        decision, state = self.network.step(frames, state, torch.as_tensor(starts).to(self.device))
+        with computing(self.stage.autocast, self.device):
+            decision, state = self.network.step(frames, state, to_device(starts, self.device))
         return decision.actions.mode().clamp(-1.0, 1.0).cpu().numpy(), state
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -9,12 +10,17 @@ import torch
 from torch import Tensor, nn
 
 from me3bev_cli.pipeline.policy import PARTS
-from me3bev_cli.pipeline.transfer import to_tensors
+from me3bev_cli.pipeline.transfer import to_device, to_tensors
 from me3bev_cli.training.demonstrations import Floats, Lesson
 
 if TYPE_CHECKING:
     from me3bev_cli.pipeline.network import Network
     from me3bev_cli.recipe_stages import ImitationStage
+
+
+def computing(precision: str | None, device: torch.device) -> AbstractContextManager[None]:
+    """The context in which the network runs, in driving as in learning: a recipe's `autocast`."""
+    return nullcontext() if precision is None else torch.autocast(device.type, getattr(torch, precision))
 
 
 class Losses(NamedTuple):
@@ -32,6 +38,7 @@ class Learner:
         named = [getattr(network, module) for part in stage.freeze for module in PARTS[part]]
         self.frozen: list[nn.Module] = [module for module in named if module is not None]
         network.freeze(self.frozen)
+        network.microbatch = stage.microbatch
         self.parameters = [p for name, p in network.named_parameters() if p.requires_grad and name != "actor.log_std"]
         self.optimizer = torch.optim.Adam(self.parameters, lr=stage.learning_rate.initial, eps=1e-5)
         self.weights = torch.tensor([stage.steering_weight, 1.0], device=device)
@@ -43,9 +50,10 @@ class Learner:
         self.network.train()
         for module in self.frozen:
             module.eval()
-        modes, values = self._evaluate(lesson)
-        action = self._distance(modes, torch.as_tensor(lesson.labels).to(self.device))
-        value = nn.functional.mse_loss(values, torch.as_tensor(lesson.returns).to(self.device))
+        with computing(self.stage.autocast, self.device):
+            modes, values = self._evaluate(lesson)
+        action = self._distance(modes, to_device(lesson.labels, self.device))
+        value = nn.functional.mse_loss(values, to_device(lesson.returns, self.device))
         self.optimizer.zero_grad()
         (action + self.stage.value * value).backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.parameters, self.stage.max_grad_norm)
@@ -55,7 +63,7 @@ class Learner:
     def _evaluate(self, lesson: Lesson) -> tuple[Tensor, Tensor]:
         """Mean actions (B L, 2) and values (B L,) of segments. The critic reads the policy's features, no more."""
         frames = to_tensors(lesson.observations, self.device)
-        starts = torch.as_tensor(lesson.starts).to(self.device)
+        starts = to_device(lesson.starts, self.device)
         state = self.network.initial_state(len(starts))
         shaped = {name: e.reshape(*starts.shape, *e.shape[1:]) for name, e in self.network.encode(frames).items()}
         latents = self.network.memory.sequence(shaped, state, starts)

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from me3bev_cli.seeding import derive_seed
+from me3bev_cli.training.alarms import WORKER, guard_gradients, guard_outputs
 from me3bev_cli.training.demonstrations import Floats, Pool, Round, Taught
 from me3bev_cli.training.environments import make_environments
 from me3bev_cli.training.imitation_driving import Outcome, RoundDriver
@@ -52,6 +53,9 @@ class ImitationRunner:
         self.index, self.first = state["round"], state["first"]
         self.counted, self.learned = state["counted"], state["learned"]
         self.losses = [Losses(*pair) for pair in state["losses"]]
+        if self.learned:
+            # The present round's row is written when it is finished: again, if that had been so.
+            self.trainer.journal.forget_after(self.trainer.progress.total_steps - 1)
         self._before = [(index, first, actions.numpy()) for index, first, actions in state["rounds"]]
 
     def run(self) -> None:
@@ -59,20 +63,24 @@ class ImitationRunner:
 
         Raises:
             InterruptedTrainingError: a stop was asked for; a checkpoint has been written.
+            AlarmError: something is wrong; a checkpoint of the moment before has been written.
         """
-        env = make_environments(self.trainer.recipe, self.stage, around=Taught)
+        trainer, stage = self.trainer, self.stage
+        env = make_environments(trainer.recipe, stage, around=Taught, told=lambda text: trainer.warn(WORKER, text))
+        end = guard_outputs(trainer.network, trainer.run)
+        guard_gradients(self.learner.optimizer, trainer.network, trainer.run)
         try:
-            driver = RoundDriver(env, self.trainer.network, self.stage, self.trainer.device)
+            driver = RoundDriver(env, trainer.network, stage, trainer.device)
             # A stop in here leaves nothing to keep: the checkpoint that is taken up still stands.
             outcome = self._play_again(driver)
             try:
                 self._rounds(driver, outcome)
-            except InterruptedTrainingError:
+            except Exception:
                 self.save()
                 raise
             self.save()
-            self._check_stop()
         finally:
+            end()
             env.close()
 
     def _rounds(self, driver: RoundDriver, outcome: Outcome | None) -> None:
@@ -90,6 +98,8 @@ class ImitationRunner:
             if progress.stage_steps - saved >= stage.checkpoint_every:
                 saved = progress.stage_steps
                 self.save()
+            self._check_stop()
+            self.trainer.evaluations.when_due()
 
     @property
     def count(self) -> int:
@@ -156,7 +166,7 @@ class ImitationRunner:
         action, value = np.mean(self.losses, axis=0).tolist()
         row: dict[str, float | None] = {
             "round": float(one.index),
-            "reward_per_step": float(one.rewards.mean()),
+            "reward_per_step": float(np.mean(outcome.rewards)),
             "autopilot_share": float(one.guided.mean()),
             "loss": action,
             "value_loss": value,
