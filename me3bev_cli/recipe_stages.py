@@ -158,19 +158,17 @@ class PerceptionStage(SimulatedStage):
         default=None, description="a folder of recorded episodes to learn from instead; they hold no depth"
     )
     rollout: int = Field(default=256, ge=1, description="steps of each stretch; of a log, at most so many")
-    every: int = Field(default=4, ge=1, description="of so many steps one frame is kept: neighbours are nearly the same")
+    every: int = Field(default=4, ge=1, description="of so many steps one frame is kept: neighbours are much the same")
     noise: float = Field(
         default=0.15, ge=0, le=1, description="disturbance of the autopilot's steering, twice that of its speed"
     )
-    microbatch: int | None = Field(default=None, ge=1, description="as in a ppo stage")
-    autocast: Literal["bfloat16"] | None = Field(default=None, description="as in a ppo stage")
     pool: int = Field(default=2048, ge=1, description="frames of the last rounds that are learned from; the oldest go")
     uses: float = Field(default=4.0, gt=0, description="how often a frame is learned from, on average")
     minibatch: int = Field(default=8, ge=1, description="frames per gradient step")
     learning_rate: LearningRate = LearningRate(initial=1e-3)
     warmup: int = Field(default=0, ge=0, description="environment steps over which the rate rises to its value")
     anneal: float = Field(
-        default=0.02, gt=0, le=1, description="share of the rate that is left at the last step, along a half cosine; 1: all"
+        default=0.02, gt=0, le=1, description="share of the rate left at the last step, along a half cosine; 1: all"
     )
     weight_decay: float = Field(default=1e-4, ge=0)
     max_grad_norm: float = Field(default=5.0, gt=0)
@@ -181,12 +179,10 @@ class PerceptionStage(SimulatedStage):
         default=0.5, ge=0, le=1, description="weight of far cells that no camera sees, beside 1 for the others"
     )
     dice: float = Field(default=1.0, ge=0, description="weight of the dice loss")
-    depth: float = Field(default=0.5, ge=0, description="weight of the depth loss, where the spatial plugin gives depth")
+    depth: float = Field(default=0.5, ge=0, description="weight of the depth loss, where there is depth to predict")
     mirror: bool = Field(default=True, description="mirror half of the frames, where the cameras stand symmetrically")
     head_width: Width = Field(default=64, description="channels between the two layers of the segmentation head")
-    autocast: Literal["bfloat16"] | None = Field(
-        default=None, description="learn in it where that is safe; null: in float32"
-    )
+    autocast: Literal["bfloat16"] | None = Field(default=None, description="as in a ppo stage")
     held_out: int = Field(default=64, ge=0, description="frames of other episodes that are scored; 0: none")
     score_every: int = Field(default=10_000, gt=0, description="environment steps between two scores")
 

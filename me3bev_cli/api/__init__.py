@@ -24,6 +24,7 @@ from me3bev_cli.api.loading import need_weights, weights_follow
 from me3bev_cli.api.network import (
     Calibration,
     FusionPlugin,
+    GridSpec,
     SpatialOutput,
     SpatialPlugin,
     State,
@@ -31,11 +32,13 @@ from me3bev_cli.api.network import (
     TokenSpec,
 )
 from me3bev_cli.api.simulator import (
+    ACTOR_KINDS,
     BEV_CLASSES,
     LIGHT_STATES,
     NAVIGATION_WIDTH,
     ROAD_WIDTH,
     VEHICLE_WIDTH,
+    Actors,
     FactRow,
     MapEntry,
     MapLibrary,
@@ -44,6 +47,7 @@ from me3bev_cli.api.simulator import (
 )
 
 __all__ = [
+    "ACTOR_KINDS",
     "BEV_CLASSES",
     "CAMERA_NAMES",
     "GROUPS",
@@ -51,10 +55,12 @@ __all__ = [
     "NAVIGATION_WIDTH",
     "ROAD_WIDTH",
     "VEHICLE_WIDTH",
+    "Actors",
     "Calibration",
     "Camera",
     "FactRow",
     "FusionPlugin",
+    "GridSpec",
     "MapEntry",
     "MapLibrary",
     "Matrix",

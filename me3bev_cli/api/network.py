@@ -25,6 +25,18 @@ class TokenSpec(NamedTuple):
         return self.rows * self.columns
 
 
+class GridSpec(NamedTuple):
+    """The bird's-eye feature map that a spatial plugin gives per frame: `rows` x `columns` cells of `channels`."""
+
+    channels: int
+    rows: int
+    columns: int
+    x_range: tuple[float, float]
+    """Metres ahead of the ego, least and greatest."""
+    y_range: tuple[float, float]
+    """Metres to its left."""
+
+
 class SpatialOutput(NamedTuple):
     """What a spatial plugin returns."""
 
@@ -50,6 +62,10 @@ class SpatialPlugin(Protocol):
 
     `forward` may take a second, optional argument `calibration: Calibration | None = None`, on the images' device;
     without it the calibration is the rig's. A plugin whose `forward` has no such argument cannot be given one.
+
+    A plugin that gives a `grid` has a class method `grid_spec(config, rig) -> GridSpec`, without allocating: it can be
+    learned by segmentation. One that gives `depth_logits` has `depth_edges`, a tensor (bins + 1,) of the borders of its
+    depth bins, metres along the optical axis.
     """
 
     Config: ClassVar[type[PluginConfig]]

@@ -1,4 +1,4 @@
-"""Intersection over union of decoded maps."""
+"""Intersection over union of decoded maps, by mask."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ from me3bev_cli.api import BEV_CLASSES
 
 NEAR = slice(50, 150)
 """The central 50 x 50 m of a 100 x 100 m map."""
+MASKS = ("all", "seen", "near")
+"""All cells; those in some camera's clear sight; the central 50 x 50 m."""
+
+Classes = NDArray[np.uint8]
 
 
-def confusion(truth: NDArray[np.uint8], decoded: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Counts (8, 8): rows are true classes, columns decoded ones."""
+def confusion(truth: Classes, decoded: Classes, mask: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+    """Counts (8, 8): rows are true classes, columns decoded ones; of the cells in `mask`."""
     count = len(BEV_CLASSES)
-    pairs = truth.astype(np.int64).ravel() * count + decoded.ravel()
+    if mask is not None:
+        truth, decoded = truth[mask], decoded[mask]
+    pairs = truth.ravel() * np.uint8(count) + decoded.ravel()
     return np.bincount(pairs, minlength=count * count).reshape(count, count)
 
 
@@ -25,17 +31,51 @@ def iou(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.divide(hit, union, out=np.full(len(hit), np.nan), where=union > 0)
 
 
-def score_rows(truth: NDArray[np.uint8], decoded: NDArray[np.uint8], source: str) -> list[dict[str, object]]:
-    """A row per mask (`all` cells, `near`: the central 50 x 50 m) and class, with its IoU."""
-    rows: list[dict[str, object]] = []
-    for mask, cut in (("all", slice(None)), ("near", NEAR)):
-        values = iou(confusion(truth[:, cut, cut], decoded[:, cut, cut]))
-        for name, value in zip(BEV_CLASSES, values, strict=True):
-            rows.append({"source": source, "mask": mask, "class": name, "iou": float(value)})
-    return rows
+class Tally:
+    """Counts maps as they come, N at a time, under every mask."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.counts = {mask: np.zeros((len(BEV_CLASSES), len(BEV_CLASSES)), np.int64) for mask in MASKS}
+
+    def add(self, truth: Classes, decoded: Classes, seen: NDArray[np.bool_] | None = None) -> None:
+        """Enter maps (N, 200, 200); without `seen`, which cells are in sight, that mask stays without cells."""
+        self.frames += len(truth)
+        self.counts["all"] += confusion(truth, decoded)
+        self.counts["near"] += confusion(truth[:, NEAR, NEAR], decoded[:, NEAR, NEAR])
+        if seen is not None:
+            self.counts["seen"] += confusion(truth, decoded, seen)
+
+    def merge(self, other: Tally) -> None:
+        """Enter what another one has counted."""
+        self.frames += other.frames
+        for mask, counts in other.counts.items():
+            self.counts[mask] += counts
+
+    def iou(self, mask: str) -> dict[str, float]:
+        """Intersection over union of each class under a mask; NaN for what is not there."""
+        return {name: float(value) for name, value in zip(BEV_CLASSES, iou(self.counts[mask]), strict=True)}
+
+    def rows(self, source: str, **place: str) -> list[dict[str, object]]:
+        """A row per mask that has cells, and class, with its IoU."""
+        return [
+            {"source": source, "mask": mask, **place, "class": name, "iou": value}
+            for mask in MASKS
+            if self.counts[mask].any()
+            for name, value in self.iou(mask).items()
+        ]
 
 
-def most_frequent(truth: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def score_rows(
+    truth: Classes, decoded: Classes, source: str, seen: NDArray[np.bool_] | None = None
+) -> list[dict[str, object]]:
+    """A row per mask and class, with its IoU, of maps (N, 200, 200)."""
+    tally = Tally()
+    tally.add(truth, decoded, seen)
+    return tally.rows(source)
+
+
+def most_frequent(truth: Classes) -> Classes:
     """The trivial baseline: the most frequent class of each cell (200, 200) over N maps."""
     counts = np.stack([(truth == index).sum(0) for index in range(len(BEV_CLASSES))])
     return counts.argmax(0).astype(np.uint8)

@@ -20,12 +20,15 @@ class BEVTrunk(nn.Module):
         channels: widths at 1/2, 1/4 and 1/8 of the grid's resolution; the first is that of the feature map.
         blocks: residual blocks at 1/4 and 1/8, each.
         tokens: (rows, columns, width) of the token grid.
+        stride: of the first layer; with 1 all resolutions are twice as fine.
     """
 
-    def __init__(self, inputs: int, channels: Sequence[int], blocks: int, tokens: tuple[int, int, int]) -> None:
+    def __init__(
+        self, inputs: int, channels: Sequence[int], blocks: int, tokens: tuple[int, int, int], stride: int = 2
+    ) -> None:
         super().__init__()
         half, quarter, eighth = channels
-        self.stem = conv(inputs, half, 3, 2)
+        self.stem = conv(inputs, half, 3, stride)
         self.quarter = _stage(half, quarter, blocks)
         self.eighth = _stage(quarter, eighth, blocks)
         self.rows, self.columns, width = tokens
@@ -34,7 +37,7 @@ class BEVTrunk(nn.Module):
         self.down_eighth = nn.Conv2d(eighth, half, 1, bias=False)
 
     def forward(self, grid: Tensor) -> tuple[Tensor, Tensor]:
-        """Grid (N, inputs, X, Y) -> tokens (N, K, D) and the feature map (N, channels[0], X / 2, Y / 2)."""
+        """Grid (N, inputs, X, Y) -> tokens (N, K, D) and the feature map (N, channels[0], X / stride, ...)."""
         half = cast(Tensor, self.stem(grid))
         quarter = cast(Tensor, self.quarter(half))
         eighth = cast(Tensor, self.eighth(quarter))

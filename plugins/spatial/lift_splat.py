@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self
 
 import torch
 from pydantic import Field, PositiveInt, model_validator
 from torch import Tensor, nn
 
-from me3bev_cli.api import Calibration, Rig, SpatialOutput, TokenSpec
+from me3bev_cli.api import Calibration, GridSpec, Rig, SpatialOutput, TokenSpec
 from me3bev_plugins.spatial.bev_trunk import BEVTrunk
 from me3bev_plugins.spatial.frustum import Grid, cells_of, depth_edges, feature_size, frame_cells, frustum
 from me3bev_plugins.spatial.frustum import calibration as rig_calibration
@@ -59,6 +59,9 @@ class LiftSplat(nn.Module):
         bev_channels: tuple[PositiveInt, PositiveInt, PositiveInt] = Field(
             default=(48, 96, 128), description="widths of the grid's trunk at 1/2, 1/4 and 1/8 resolution"
         )
+        bev_stride: Literal[1, 2] = Field(
+            default=2, description="cells of the grid per cell of the feature map; with 1 the trunk is twice as fine"
+        )
         bev_blocks: PositiveInt = Field(default=2, description="residual blocks per stage of the grid's trunk")
         token_rows: PositiveInt = Field(default=8, description="tokens ahead to behind")
         token_columns: PositiveInt = Field(default=8, description="tokens left to right")
@@ -94,7 +97,9 @@ class LiftSplat(nn.Module):
         self.head = nn.Conv2d(self.trunk.channels, config.depth_bins + config.channels, 1)
         ground = 3 * config.ground_samples**2 + 1 if config.ground_plane else 0
         tokens = (config.token_rows, config.token_columns, config.token_width)
-        self.bev_trunk = BEVTrunk(config.channels + ground, config.bev_channels, config.bev_blocks, tokens)
+        self.bev_trunk = BEVTrunk(
+            config.channels + ground, config.bev_channels, config.bev_blocks, tokens, config.bev_stride
+        )
         edges = depth_edges(*config.depth_range, config.depth_bins)
         self.register_buffer("depth_edges", edges.float(), persistent=False)
         self._keep_tables()
@@ -121,6 +126,13 @@ class LiftSplat(nn.Module):
                 f"{grid.rows} x {grid.columns} cells per axis"
             )
         return TokenSpec(config.token_rows, config.token_columns, config.token_width)
+
+    @classmethod
+    def grid_spec(cls, config: Config, rig: Rig) -> GridSpec:
+        """The feature map: the grid's cells, or half as many per axis."""
+        grid = config.grid()
+        rows, columns = -(-grid.rows // config.bev_stride), -(-grid.columns // config.bev_stride)
+        return GridSpec(config.bev_channels[0], rows, columns, config.x_range, config.y_range)
 
     def _keep_tables(self) -> None:
         """Find each point's cell once; the tables follow the module across devices and stay out of its state."""
@@ -152,7 +164,7 @@ class LiftSplat(nn.Module):
         return build_index(frame_cells(self.point_cells(calibration), frames, count), frames * count)
 
     def forward(self, images: Tensor, calibration: Calibration | None = None) -> SpatialOutput:
-        """Images to tokens, depth, and the feature map (half the grid's cells), all in the images' type.
+        """Images to tokens, depth, and the feature map (as `grid_spec` tells), all in the images' type.
 
         Args:
             images: (N, C, 3, H, W), ImageNet-normalised.

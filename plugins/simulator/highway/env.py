@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from me3bev_cli.api import ObservationConfig, StepRecord
+from me3bev_cli.api import Actors, ObservationConfig, StepRecord
 from me3bev_cli.errors import UserError
 from me3bev_cli.seeding import derive_seed
 from me3bev_plugins.simulator.highway import driver, options
@@ -238,6 +238,20 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
     def bev_semantics(self) -> NDArray[np.uint8]:
         """The true semantic map around the ego, (200, 200), classes as `BEV_CLASSES`, 0.5 m per cell."""
         return bev_semantics(self.scene)
+
+    def camera_truth(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Of every pixel (C, H, W): depth along the optical axis, metres, inf in the sky; class as `BEV_CLASSES`."""
+        return self.cameras.truth(self.scene)
+
+    def actors(self) -> Actors:
+        """The other road users at this instant."""
+        others = self._traffic.actors
+        columns = (others.x, others.y, others.z, others.heading, others.length, others.width, others.height)
+        return Actors(np.stack(columns, axis=1), others.kind.astype(np.int64), others.speed.copy())
+
+    def route_line(self) -> NDArray[np.float64]:
+        """The centre line (P, 3) of the route that is to be driven, world frame, metres."""
+        return self.route.points[(self.route.s >= 0) & (self.route.s <= self.route.length)]
 
     def plan_view(self, size: int) -> NDArray[np.uint8]:
         """The surroundings from above with what is left of the route, the ego heading up: (size, size, 3) r, g, b."""

@@ -1,0 +1,156 @@
+"""Frames with their truth, drawn from the simulator or read from logs, by jobs that depend on nothing but their number.
+
+No torch here: worker processes draw.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from me3bev_cli.api import ObservationConfig
+from me3bev_cli.errors import LogError
+from me3bev_cli.perception.truth import DepthBins, Sight, packed
+from me3bev_cli.seeding import derive_seed
+
+BURST = (5, 20)
+"""Steps that a disturbance of the driving lasts, and that pass before the next one, at least and at most."""
+
+
+Frame = tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]
+"""Images, map and depth of one moment, as `Frames` holds them."""
+Make = Callable[[], Frame]
+"""Makes the frame of a step that has been reached: most are passed over."""
+
+
+@dataclass(eq=False)
+class Frames:
+    """N frames, as they are kept and sent."""
+
+    images: NDArray[np.uint8]
+    """(N, C, 3, H, W)"""
+    maps: NDArray[np.uint8]
+    """(N, 200, 200), class and sight as `truth.packed`."""
+    depth: NDArray[np.uint8]
+    """(N, C, bins, h, w), shares in 255ths; no bins where depth is not learned."""
+    steps: int
+    """Environment steps that were made for them."""
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+class Job(NamedTuple):
+    """One stretch of driving, or of one log."""
+
+    names: tuple[str | int, ...]
+    """What its seeds are derived from."""
+    steps: int
+    """Environment steps, at most."""
+    map: str
+    """Which map it is on."""
+    log: Path | None = None
+
+
+@dataclass
+class FrameSource:
+    """Draws the frames of jobs; can be pickled. Simulator and environments are made at the first and kept.
+
+    Args:
+        simulator: an instance of a `SimulatorPlugin`.
+        every: of so many environment steps one is kept.
+        noise: strength of the disturbances of the autopilot's actions, so that it is seen off its lane too.
+        depth: bins in which depth is predicted; None: it is not.
+    """
+
+    simulator: Any
+    observation: ObservationConfig
+    density: str
+    weather: tuple[str, ...] | None
+    every: int
+    noise: float
+    depth: DepthBins | None
+    _envs: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+    _sight: Sight | None = field(default=None, init=False, repr=False)
+
+    def __call__(self, job: Job) -> Frames:
+        """The job's frames: the same in every process.
+
+        Raises:
+            LogError: a log is damaged, lacks a topic or holds other images than the policy sees.
+        """
+        source = self._driven(job) if job.log is None else self._logged(job.log)
+        kept, steps = [], 0
+        for index, frame in enumerate(itertools.islice(source, job.steps)):
+            steps = index + 1
+            if index % self.every == 0:
+                kept.append(frame())
+        images, maps, depth = (np.stack(part) for part in zip(*kept, strict=True))
+        return Frames(images, maps, depth, steps)
+
+    def close(self) -> None:
+        """Close the environments."""
+        for env in self._envs.values():
+            env.close()
+        self._envs.clear()
+
+    def _environment(self, place: str) -> Any:
+        if place not in self._envs:
+            where = {"map": place, "density": self.density, "weather": self.weather}
+            self._envs[place] = self.simulator.make_env(self.observation, **where)
+        return self._envs[place]
+
+    def _driven(self, job: Job) -> Iterator[Make]:
+        """One episode after another, each driven by the autopilot, its hands knocked now and then."""
+        env = self._environment(job.map)
+        for episode in itertools.count():
+            seed = derive_seed(*job.names, episode)
+            observation, _ = env.reset(seed=seed)
+            disturbances = _disturbances(np.random.default_rng(seed), self.noise)
+            done = False
+            while not done:
+                yield lambda seen=observation: self._frame(env, seen)  # type: ignore[misc]
+                action = np.clip(env.unwrapped.autopilot() + next(disturbances), -1.0, 1.0).astype(np.float32)
+                observation, _, terminated, truncated, _ = env.step(action)
+                done = terminated or truncated
+
+    def _frame(self, env: Any, observation: dict[str, NDArray[Any]]) -> Frame:
+        self._sight = self._sight or Sight(self.simulator.rig(self.observation))
+        bev = env.unwrapped.bev_semantics()
+        depth, classes = env.unwrapped.camera_truth()
+        shares = _no_depth(len(depth)) if self.depth is None else self.depth.shares(depth)
+        return observation["images"].copy(), packed(bev, self._sight(depth, classes, bev)), shares
+
+    def _logged(self, path: Path) -> Iterator[Make]:
+        """Logs hold no depth, so neither sight nor depth can be told."""
+        from me3bev_cli.recording.reader import read_steps
+
+        wanted = (len(self.observation.cameras), 3, self.observation.height, self.observation.width)
+        for step in read_steps(path):
+            images = step.observation["images"]
+            if images.shape != wanted:
+                raise LogError(
+                    f"{path} holds images {images.shape}, the policy sees {wanted}",
+                    hint="Record with its recipe: `me3bev collect --recipe RECIPE`",
+                )
+            yield lambda images=images, bev=step.bev: (images, bev, _no_depth(len(images)))  # type: ignore[misc]
+
+
+def _no_depth(cameras: int) -> NDArray[np.uint8]:
+    return np.zeros((cameras, 0, 1, 1), np.uint8)
+
+
+def _disturbances(rng: np.random.Generator, strength: float) -> Iterator[NDArray[np.float64]]:
+    """What is added to each action: bursts of one sign and size, with rests between them."""
+    while True:
+        for _ in range(rng.integers(*BURST)):
+            yield np.zeros(2)
+        knock = rng.uniform(-strength, strength, 2) * (1.0, 2.0)
+        for _ in range(rng.integers(*BURST)):
+            yield knock

@@ -1,0 +1,131 @@
+"""A policy's spatial part with a segmentation head on it: what is learned, scored and kept."""
+
+from __future__ import annotations
+
+import json
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from me3bev_cli.api import GridSpec, Rig
+from me3bev_cli.errors import CheckpointError, UserError
+from me3bev_cli.files import atomic_write_bytes
+from me3bev_cli.perception.head import SegmentationHead
+from me3bev_cli.perception.truth import CELL, CELLS, DepthBins
+from me3bev_cli.pipeline.network import Network
+
+HEAD = "perception_head.safetensors"
+"""The head's file in a run folder: its weights, and its sizes as metadata."""
+REACH = CELLS * CELL / 2
+
+
+class Seen(NamedTuple):
+    """What is made of images."""
+
+    scores: Tensor
+    """(N, 8, 200, 200), before the softmax."""
+    depth_logits: Tensor | None
+    """(N, C, bins, h, w)"""
+
+
+class PerceptionModel(nn.Module):
+    """Images (N, C, 3, H, W) uint8 -> class scores and depth.
+
+    Args:
+        network: whose spatial part is used; its grid must be known to be there, see `grid_of`.
+        grid: of the spatial part.
+        width: of the head.
+        seed: of the head's weights.
+    """
+
+    def __init__(self, network: Network, grid: GridSpec, width: int, seed: int) -> None:
+        super().__init__()
+        assert network.spatial is not None
+        self.sensor, self.spatial = network.sensor, network.spatial
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.head = SegmentationHead(grid.channels, (grid.rows, grid.columns), width).to(network.device)
+        self.sizes = {"channels": grid.channels, "rows": grid.rows, "columns": grid.columns, "width": width}
+
+    def forward(self, images: Tensor) -> Seen:
+        """See the class."""
+        out = self.spatial(self.sensor.images({"images": images}))
+        return Seen(self.head(out.grid), out.depth_logits)
+
+    @torch.inference_mode()
+    def classes(self, images: Tensor, autocast: torch.dtype | None = None) -> NDArray[Any]:
+        """The likeliest class of each cell, (N, 200, 200) uint8."""
+        with nullcontext() if autocast is None else torch.autocast(images.device.type, autocast):
+            found = self(images).scores.argmax(1)
+        array: NDArray[Any] = found.to(torch.uint8).cpu().numpy()
+        return array
+
+    def keep_head(self, run: Path) -> None:
+        """Write the head to its file in a run folder, whole or not at all."""
+        weights = {key: value.detach().cpu().contiguous() for key, value in self.head.state_dict().items()}
+        atomic_write_bytes(run / HEAD, save(weights, {"sizes": json.dumps(self.sizes)}))
+
+
+def load_model(network: Network, run: Path) -> PerceptionModel:
+    """The network's spatial part with the head that a run's perception stage has trained.
+
+    Raises:
+        CheckpointError: the run has no head, or it is damaged or made for another grid.
+    """
+    path = run / HEAD
+    if not path.exists():
+        raise CheckpointError(
+            f"{run} has no {HEAD}: no perception stage was trained in it", hint="Give the recipe one, and train"
+        )
+    try:
+        with safe_open(path, framework="pt") as file:
+            sizes = json.loads((file.metadata() or {})["sizes"])
+            weights = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        spec = GridSpec(sizes["channels"], sizes["rows"], sizes["columns"], (-REACH, REACH), (-REACH, REACH))
+        model = PerceptionModel(network, spec, sizes["width"], 0)
+        model.head.load_state_dict(weights)
+    except (SafetensorError, OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+        raise CheckpointError(f"{path} is damaged or of another make ({type(error).__name__})") from error
+    return model
+
+
+def grid_of(plugin: Any, name: str, config: Any, rig: Rig) -> GridSpec:
+    """The bird's-eye grid of a spatial plugin.
+
+    Raises:
+        UserError: it has none, or one of another extent than the truth.
+    """
+    told = getattr(plugin, "grid_spec", None)
+    if told is None:
+        raise UserError(
+            f"the spatial plugin '{name}' gives no bird's-eye grid, so that it cannot learn segmentation",
+            hint="Leave the perception stage out, or choose a plugin with a grid, as lift_splat",
+        )
+    spec: GridSpec = told(config, rig)
+    for axis, extent in (("x_range", spec.x_range), ("y_range", spec.y_range)):
+        if tuple(extent) != (-REACH, REACH):
+            raise UserError(
+                f"{axis} of the grid is {list(extent)}, the truth that a perception stage learns from reaches "
+                f"from {-REACH:g} to {REACH:g} m"
+            )
+    return spec
+
+
+def depth_bins_of(spatial: nn.Module, rig: Rig) -> DepthBins | None:
+    """The bins in which a spatial module predicts depth, found with a look at nothing; None if it does not."""
+    edges = getattr(spatial, "depth_edges", None)
+    if not isinstance(edges, Tensor):
+        return None
+    like = next(spatial.parameters())
+    with torch.inference_mode():
+        logits = spatial(like.new_zeros(1, len(rig.cameras), 3, *rig.image_size)).depth_logits
+    if logits is None:
+        return None
+    h, w = logits.shape[-2:]
+    return DepthBins(tuple(edges.tolist()), (int(h), int(w)), rig.image_size)
