@@ -16,6 +16,7 @@ from me3bev_cli.commands import (
     decode,
     drive,
     maps,
+    metrics,
     plugins,
     recipe,
     train,
@@ -94,6 +95,7 @@ app.command()(bench_train.bench_train)
 app.add_typer(maps.app, name="maps", rich_help_panel=HELPERS)
 app.add_typer(recipe.app, name="recipe", rich_help_panel=HELPERS)
 app.command(rich_help_panel=HELPERS)(plugins.plugins)
+app.command(rich_help_panel=HELPERS)(metrics.metrics)
 
 
 def main() -> None:

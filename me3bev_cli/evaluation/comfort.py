@@ -28,20 +28,21 @@ def savitzky_golay(values: Floats, spacing: float = 1.0, derivative: int = 0) ->
     """Local least-squares parabola: its value or first derivative at each sample.
 
     Each sample is judged by the window of `WINDOW` around it; the first and last three by the first and the
-    last whole window.
+    last whole window. Fewer samples than `WINDOW` are one window.
 
     Args:
-        values: (T,) with T >= `WINDOW`, evenly spaced.
+        values: (T,) with T > `ORDER`, evenly spaced.
         spacing: between two samples.
         derivative: 0 or 1.
     """
-    half = WINDOW // 2
-    offsets = np.arange(-half, half + 1, dtype=np.float64)
+    window = min(WINDOW, len(values))
+    half = window // 2
+    offsets = np.arange(-half, window - half)
     # Row k of `fit` gives the coefficient of offset^k of the parabola through a window.
-    fit = np.linalg.pinv(np.vander(offsets, ORDER + 1, increasing=True))
-    centre = np.clip(np.arange(len(values)), half, len(values) - 1 - half)
+    fit = np.linalg.pinv(np.vander(offsets.astype(np.float64), ORDER + 1, increasing=True))
+    centre = np.clip(np.arange(len(values)), half, len(values) - window + half)
     at = np.arange(len(values)) - centre
-    windows = values[centre[:, None] + np.arange(-half, half + 1)]
+    windows = values[centre[:, None] + offsets]
     coefficients = windows @ fit.T
     if derivative == 0:
         return np.asarray(coefficients[:, 0] + coefficients[:, 1] * at + coefficients[:, 2] * at**2)
@@ -68,8 +69,7 @@ def motion(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, spacing: flo
 
 def comfortable(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, spacing: float) -> bool:
     """Whether one segment stays strictly inside all six bounds."""
-    measured = motion(longitudinal, lateral, yaw_rate, spacing)
-    return all(bool(np.all((low < measured[name]) & (measured[name] < high))) for name, (low, high) in BOUNDS.items())
+    return _inside(motion(longitudinal, lateral, yaw_rate, spacing))
 
 
 def comfortable_share(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, spacing: float) -> float:
@@ -80,3 +80,36 @@ def comfortable_share(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, s
         for s in starts
     ]
     return float(np.mean(passed)) if passed else float("nan")
+
+
+def published_share(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, spacing: float) -> float:
+    """The share of comfortable segments as Bench2Drive's published tool finds it, its slips included.
+
+    An episode of at most `SEGMENT` frames is judged as one segment; NaN under three frames, which the tool refuses.
+    """
+    frames = len(longitudinal)
+    if frames <= ORDER:
+        return float("nan")
+    starts = [0] if frames <= SEGMENT else range(0, frames - SEGMENT + 1, SEGMENT)
+    segments = [slice(start, start + SEGMENT) for start in starts]
+    return float(np.mean([_published(longitudinal[s], lateral[s], yaw_rate[s], spacing) for s in segments]))
+
+
+def _published(longitudinal: Floats, lateral: Floats, yaw_rate: Floats, spacing: float) -> bool:
+    turns = np.append(0.0, np.cumsum(np.round(np.diff(yaw_rate) / (2 * np.pi))))
+    turning = savitzky_golay(yaw_rate - 2 * np.pi * turns)
+    along = savitzky_golay(longitudinal)
+    size = savitzky_golay(np.hypot(longitudinal, lateral))
+    measured = {
+        "longitudinal acceleration": along,
+        "lateral acceleration": savitzky_golay(lateral),
+        "jerk": savitzky_golay(size, spacing, 1),
+        "longitudinal jerk": savitzky_golay(along, spacing, 1),
+        "yaw rate": turning,
+        "yaw acceleration": turning,
+    }
+    return _inside(measured)
+
+
+def _inside(measured: dict[str, Floats]) -> bool:
+    return all(bool(np.all((low < measured[name]) & (measured[name] < high))) for name, (low, high) in BOUNDS.items())

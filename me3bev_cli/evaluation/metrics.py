@@ -1,4 +1,4 @@
-"""The metrics: pure functions of an episode, and the table that says what each of them is.
+"""The metrics: pure functions of an episode's log, as `definitions` says.
 
 A metric may be NaN for an episode that says nothing about it; averages leave it out and count what is left.
 """
@@ -7,55 +7,61 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from me3bev_cli.evaluation.comfort import comfortable_share
+from me3bev_cli.evaluation.comfort import comfortable_share, published_share
+from me3bev_cli.evaluation.definitions import (
+    CHECKPOINTS,
+    HORIZON,
+    METRICS,
+    MOST_EFFICIENT,
+    PAPER,
+    PENALTIES,
+    RED_LIGHT,
+    STOP_SIGN,
+)
 from me3bev_cli.evaluation.episode import Episode
 
-HORIZON = 128
-"""Steps of the paper's episodes."""
-
-PENALTIES = {"pedestrian": 0.5, "vehicle": 0.6, "static": 0.65}
-"""Bench2Drive's factor for each collision, by kind."""
-RED_LIGHT, STOP_SIGN = 0.7, 0.8
-"""Bench2Drive's factors for each of these."""
-MOST_EFFICIENT = 10.0
-"""Ratios above it are dropped, as Bench2Drive drops 1000 %: next to traffic that stands, they say nothing."""
-
-
-@dataclass(frozen=True)
-class Metric:
-    """What a figure means. `version` rises when `function` changes; figures of different versions do not compare."""
-
-    name: str
-    label: str
-    unit: str
-    direction: Literal["higher", "lower", "neither"]
-    """Which is better."""
-    formula: str
-    source: str
-    function: Callable[[Episode], float]
-    version: int = 1
-    digits: int = 2
-    """Decimals in tables for people."""
+__all__ = ["FUNCTIONS", "HORIZON", "METRICS", "PAPER", "driving_score", "measure"]
 
 
 def collisions(episode: Episode) -> dict[str, int]:
     """Number of collisions by kind: consecutive steps of contact with one kind are one collision."""
+    first = _first_contacts(episode)
+    return {kind: int(np.count_nonzero(first & (episode["collision"] == kind))) for kind in PENALTIES}
+
+
+def _first_contacts(episode: Episode) -> NDArray[np.bool_]:
+    """Steps (T,) in which a collision begins."""
     kinds = episode["collision"]
-    begins = np.append(True, kinds[1:] != kinds[:-1])
-    return {kind: int(np.count_nonzero(begins & (kinds == kind))) for kind in PENALTIES}
+    return np.asarray(np.append(True, kinds[1:] != kinds[:-1]) & (kinds != ""))
 
 
 def collision_rate(episode: Episode) -> float:
     return float(np.any(episode["collision"] != ""))
 
 
+def vehicle_collision_rate(episode: Episode) -> float:
+    return float(np.any(episode["collision"] == "vehicle"))
+
+
+def pedestrian_collision_rate(episode: Episode) -> float:
+    return float(np.any(episode["collision"] == "pedestrian"))
+
+
+def static_collision_rate(episode: Episode) -> float:
+    return float(np.any(episode["collision"] == "static"))
+
+
 def at_fault_collision_rate(episode: Episode) -> float:
     return float(np.any((episode["collision"] != "") & episode["at_fault"]))
+
+
+def at_fault_share(episode: Episode) -> float:
+    first = _first_contacts(episode)
+    return float(np.mean(episode["at_fault"][first])) if first.any() else math.nan
 
 
 def similarity(episode: Episode) -> float:
@@ -77,8 +83,32 @@ def efficiency(episode: Episode) -> float:
     return own / others if others > 0 and own <= MOST_EFFICIENT * others else math.nan
 
 
+def efficiency_bench2drive(episode: Episode) -> float:
+    length = float(episode["route_length"][-1])
+    if not episode.has("background_speed") or length <= 0:
+        return math.nan
+    done = np.maximum.accumulate(np.maximum(episode["route_done"], 0.0))
+    # Step t belongs to the checkpoint that was next before it.
+    next_one = np.floor(CHECKPOINTS * np.append(0.0, done[:-1]) / length)
+    passed = CHECKPOINTS if episode.finished else math.floor(CHECKPOINTS * done[-1] / length)
+    values = []
+    for checkpoint in range(passed):
+        steps = (next_one == checkpoint) & ~np.isnan(episode["background_speed"])
+        others = float(np.sum(episode["background_speed"][steps]))
+        if others > 0:
+            values.append(100.0 * float(np.sum(episode["speed"][steps])) / others)
+    kept = [value for value in values if value <= 100.0 * MOST_EFFICIENT]
+    return float(np.mean(kept)) if kept else math.nan
+
+
 def comfort(episode: Episode) -> float:
     return comfortable_share(
+        episode["acceleration"], episode["lateral_acceleration"], episode["yaw_rate"], episode.step_seconds
+    )
+
+
+def comfort_bench2drive(episode: Episode) -> float:
+    return published_share(
         episode["acceleration"], episode["lateral_acceleration"], episode["yaw_rate"], episode.step_seconds
     )
 
@@ -87,7 +117,19 @@ def route_completion(episode: Episode) -> float:
     if episode.finished:
         return 1.0
     length = float(episode["route_length"][-1])
-    return min(1.0, max(0.0, float(np.max(episode["route_done"])) / length)) if length > 0 else math.nan
+    return min(1.0, _farthest(episode) / length) if length > 0 else math.nan
+
+
+def _farthest(episode: Episode) -> float:
+    """Progress along the route, m."""
+    return max(0.0, float(np.max(episode["route_done"])))
+
+
+def relative_progress(episode: Episode, autopilot: Episode | None) -> float:
+    """Beside the autopilot's episode of the same seed."""
+    if autopilot is None or _farthest(autopilot) <= 0:
+        return math.nan
+    return _farthest(episode) / _farthest(autopilot)
 
 
 def off_road(episode: Episode) -> float:
@@ -121,6 +163,11 @@ def red_lights(episode: Episode) -> float:
     return float(np.count_nonzero(episode["red_light"]))
 
 
+def red_light_violation_rate(episode: Episode) -> float:
+    met = int(np.count_nonzero(episode["red_met"])) if episode.has("red_met") else 0
+    return red_lights(episode) / met if met else math.nan
+
+
 def stop_signs(episode: Episode) -> float:
     return float(np.count_nonzero(episode["stop_sign"]))
 
@@ -137,98 +184,44 @@ def return_per_step(episode: Episode) -> float:
     return float(np.mean(episode["reward"]))
 
 
-_PAPER = "ME3-BEV, evaluation metrics"
-_BENCH2DRIVE = "Bench2Drive"
-_OWN = "me3bev"
-
-_ALL = (
-    Metric(
-        "collision_rate", "collision rate", "share of episodes", "lower",
-        "1 for an episode with a collision, else 0", _PAPER, collision_rate,
-    ),
-    Metric(
-        "similarity", "similarity", "cosine", "higher",
-        "mean over steps of the cosine between heading and the direction to the next waypoint", _PAPER, similarity,
-    ),
-    Metric(
-        "timesteps", "timesteps", "steps", "higher",
-        "steps until the route is finished, a collision, or the horizon", _PAPER, timesteps, digits=0,
-    ),
-    Metric(
-        "waypoint_distance", "waypoint distance", "m", "lower",
-        "mean over steps of the distance to the next waypoint", _PAPER, waypoint_distance,
-    ),
-    Metric(
-        "efficiency", "efficiency", "ratio", "higher",
-        "mean speed of the ego over mean speed of the vehicles within 50 m, both over the steps in which there are "
-        "any; left out when there are none, when they stand, and above 10",
-        f"{_PAPER}; {_BENCH2DRIVE}'s limit", efficiency,
-    ),
-    Metric(
-        "comfort", "comfort", "share of segments", "higher",
-        "share of the 20-frame segments (remainder dropped) in which, smoothed by a Savitzky-Golay filter (window 7, "
-        "order 2), longitudinal acceleration stays in (-4.05, 2.40) m/s2, |lateral acceleration| < 4.89 m/s2, "
-        "|jerk| < 8.37 m/s3, |longitudinal jerk| < 4.13 m/s3, |yaw rate| < 0.95 rad/s and |yaw acceleration| < 1.93 "
-        "rad/s2; left out for episodes under 20 frames",
-        f"{_PAPER}; {_BENCH2DRIVE}'s bounds, with the yaw acceleration derived from the yaw rate", comfort,
-    ),
-    Metric(
-        "driving_score", "driving score", "0-100", "higher",
-        "100 x route completion x product over events (pedestrian 0.5, vehicle 0.6, static 0.65, red light 0.7, "
-        "stop sign 0.8) x (1 - share of the distance driven off the road)", _BENCH2DRIVE, driving_score, digits=1,
-    ),
-    Metric(
-        "route_completion", "route completion", "share of route", "higher",
-        "farthest progress along the route over its length", _BENCH2DRIVE, route_completion,
-    ),
-    Metric(
-        "success", "success", "share of episodes", "higher",
-        "1 for a route finished without any penalty of the driving score, else 0", _BENCH2DRIVE, success,
-    ),
-    Metric(
-        "at_fault_collision_rate", "at-fault collisions", "share of episodes", "lower",
-        "1 for an episode in which the ego's front ran into something, else 0", _OWN, at_fault_collision_rate,
-    ),
-    Metric(
-        "red_lights", "red lights run", "per episode", "lower",
-        "stop lines crossed on red", _OWN, red_lights,
-    ),
-    Metric(
-        "stop_signs", "stop signs run", "per episode", "lower",
-        "stop signs passed without a stop", _OWN, stop_signs,
-    ),
-    Metric(
-        "lane_departures", "lane departures", "per episode", "lower",
-        "times the ego's centre left its lane for the opposite direction or for no road at all, outside junctions",
-        _OWN, lane_departures,
-    ),
-    Metric(
-        "off_road", "off road", "share of distance", "lower",
-        "distance driven off the road over distance driven", _OWN, off_road,
-    ),
-    Metric(
-        "mean_speed", "mean speed", "m/s", "neither",
-        "mean over steps of the ego's speed", _OWN, mean_speed,
-    ),
-    Metric(
-        "return_per_step", "return per step", "reward", "higher",
-        "mean over steps of the reward", _OWN, return_per_step,
-    ),
-    Metric(
-        "paper_score", "paper score", "0-100", "higher",
-        "100 x min(1, steps / 128) x 0.6 after a collision: how the paper's published driving scores behave; a car "
-        "that never moves gets 100",
-        "fitted to the paper's tables", paper_score, digits=1,
-    ),
-)  # fmt: skip
-
-METRICS = {metric.name: metric for metric in _ALL}
-"""Every metric by name, the paper's seven first."""
-
-PAPER = tuple(METRICS)[:7]
-"""The seven of the paper's tables."""
+FUNCTIONS: dict[str, Callable[[Episode], float]] = {
+    function.__name__: function
+    for function in (
+        collision_rate,
+        similarity,
+        timesteps,
+        waypoint_distance,
+        efficiency,
+        comfort,
+        driving_score,
+        route_completion,
+        success,
+        vehicle_collision_rate,
+        pedestrian_collision_rate,
+        static_collision_rate,
+        at_fault_collision_rate,
+        at_fault_share,
+        red_lights,
+        red_light_violation_rate,
+        stop_signs,
+        lane_departures,
+        off_road,
+        efficiency_bench2drive,
+        comfort_bench2drive,
+        mean_speed,
+        return_per_step,
+        paper_score,
+    )
+}
+"""Every metric of one episode alone, by name."""
 
 
-def measure(episode: Episode) -> dict[str, float]:
-    """Every metric of an episode."""
-    return {name: metric.function(episode) for name, metric in METRICS.items()}
+def measure(episode: Episode, autopilot: Episode | None = None) -> dict[str, float]:
+    """Every metric of an episode, in the order of `METRICS`.
+
+    Args:
+        autopilot: the autopilot's episode of the same seed, where it has driven it.
+    """
+    found = {name: function(episode) for name, function in FUNCTIONS.items()}
+    found["relative_progress"] = relative_progress(episode, autopilot)
+    return {name: found[name] for name in METRICS}

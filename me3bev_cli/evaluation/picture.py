@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from me3bev_cli.evaluation.metrics import METRICS, PAPER
+from me3bev_cli.evaluation.definitions import METRICS, PAPER
 from me3bev_cli.evaluation.summary import Row
 from me3bev_cli.pictures import CAMERA_COLUMNS, colour_map, tile
 

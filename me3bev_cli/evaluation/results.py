@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from me3bev_cli.errors import UserError
+from me3bev_cli.evaluation.definitions import METRICS
 from me3bev_cli.evaluation.episode import Episode
-from me3bev_cli.evaluation.metrics import METRICS
 from me3bev_cli.evaluation.summary import LEVEL, RESAMPLES, Row, WeatherRow
 
 JSON, CSV, PICTURE, EPISODES = "results.json", "results.csv", "results.png", "episodes"

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from me3bev_cli.evaluation.metrics import METRICS, PAPER, Metric
+from me3bev_cli.evaluation.definitions import METRICS, PAPER, Metric
 from me3bev_cli.evaluation.summary import AVERAGE, Row, WeatherRow
 
 if TYPE_CHECKING:

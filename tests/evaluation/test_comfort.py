@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from me3bev_cli.evaluation.comfort import comfortable, comfortable_share, motion, savitzky_golay
+from me3bev_cli.evaluation.comfort import comfortable, comfortable_share, motion, published_share, savitzky_golay
 
 DT = 0.1
 REST = np.zeros(20)
@@ -87,3 +87,50 @@ def test_the_bound_on_yaw_acceleration(slope: float, passes: bool) -> None:
 def test_an_episode_shorter_than_a_segment_says_nothing() -> None:
     assert np.isnan(comfortable_share(REST[:19], REST[:19], REST[:19], DT))
     assert comfortable_share(REST, REST, REST, DT) == 1.0
+
+
+def published(longitudinal: np.ndarray = REST, lateral: np.ndarray = REST, yaw_rate: np.ndarray = REST) -> float:
+    return published_share(longitudinal, lateral, yaw_rate, DT)
+
+
+def test_the_published_tool_takes_the_yaw_rate_for_the_yaw_acceleration() -> None:
+    # 2 rad/s^2 breaks the bound of 1.93; the rate itself stays within 0.9.
+    turn = 2.0 * np.clip(TIME - 0.6, 0.0, 0.8) - 0.8
+    assert not comfortable(REST, REST, turn, DT)
+    assert published(yaw_rate=turn) == 1
+    assert published(yaw_rate=REST + 0.96) == 0
+
+
+def test_the_published_tool_takes_the_rate_of_the_size_for_the_jerk() -> None:
+    # From one side to the other with 9 m/s^3: the size only dips from 3.6 m/s^2 to 0 and comes back.
+    swerve = wave(9.0)
+    assert not comfortable(REST, swerve, REST, DT)
+    assert np.abs(savitzky_golay(savitzky_golay(np.abs(swerve)), DT, 1)).max() < 8.37
+    assert published(lateral=swerve) == 1
+
+
+def test_the_published_tool_smooths_twice() -> None:
+    # A kick of one frame: its slope is 3 / 28 / 0.1 s of its height; smoothed before, less.
+    kick = REST.copy()
+    kick[10] = 4.5
+    assert np.abs(savitzky_golay(kick, DT, 1)).max() == pytest.approx(4.5 * 3 / 28 / DT)
+    assert not comfortable(kick, REST, REST, DT)
+    assert np.abs(savitzky_golay(savitzky_golay(kick), DT, 1)).max() < 4.13
+    assert published(longitudinal=kick) == 1
+
+
+def test_the_published_tool_judges_a_short_episode_as_one_segment() -> None:
+    brake = REST - 5.0
+    assert published_share(REST[:5], REST[:5], REST[:5], DT) == 1
+    assert published_share(brake[:5], REST[:5], REST[:5], DT) == 0
+    assert np.isnan(published_share(REST[:2], REST[:2], REST[:2], DT))
+    # 45 frames: two segments, the rest of five is dropped.
+    long = np.concatenate([brake, REST, brake[:5]])
+    assert published_share(long, 0 * long, 0 * long, DT) == 0.5
+
+
+def test_the_published_tool_unwraps_yaw_rates() -> None:
+    # A jump of more than pi is taken for a full turn: 6.3 rad/s count as 6.3 - 2 pi.
+    spin = np.where(np.arange(20) < 10, 0.0, 6.3)
+    assert not comfortable(REST, REST, spin, DT)
+    assert published(yaw_rate=spin) == 1
