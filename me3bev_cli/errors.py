@@ -63,6 +63,10 @@ class RunError(UserError):
     """A run folder that is missing or incomplete."""
 
 
+class MemoryShortError(UserError):
+    """A recipe that needs more memory than there is; nothing of it has been taken yet."""
+
+
 class MapError(UserError):
     """A map, density or weather that does not exist, or a map file that cannot be read."""
 
