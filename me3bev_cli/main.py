@@ -17,8 +17,10 @@ from me3bev_cli.commands import (
     drive,
     maps,
     metrics,
+    plot,
     plugins,
     recipe,
+    runs,
     train,
 )
 from me3bev_cli.commands import eval as evaluation
@@ -87,6 +89,8 @@ def _options(
 app.command()(collect.collect)
 app.command()(train.train)
 app.command("eval")(evaluation.evaluate)
+app.command()(runs.runs)
+app.command()(plot.plot)
 app.command(cls=drive.DriveCommand)(drive.drive)
 app.command()(decode.decode)
 app.command()(bench_latency.bench_latency)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium
 
@@ -18,7 +18,8 @@ IDLE = "idle"
 """In the infos of a course that has played all its episodes."""
 
 
-class Visit(NamedTuple):
+@dataclass(frozen=True)
+class Visit:
     """One episode to play."""
 
     map: str
@@ -46,6 +47,7 @@ class Course(gymnasium.Env[Any, Any]):
         self._simulator, self._observation = simulator, observation
         self._weather, self._images = weather, images
         self._visits, self._next = visits, 0
+        self._seen: Any = None
         self._open(visits[0])
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space

@@ -13,10 +13,10 @@ import torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from me3bev_cli.evaluation.course import IDLE, CourseMaker, Visit
-from me3bev_cli.evaluation.episode import Episode, ending, from_records
+from me3bev_cli.evaluation.episode import Ending, Episode, ending, from_records
 from me3bev_cli.parallel_envs import ParallelEnvs
-from me3bev_cli.pipeline.control import to_tensors
 from me3bev_cli.pipeline.network import Network
+from me3bev_cli.pipeline.transfer import to_tensors
 
 
 @contextmanager
@@ -89,8 +89,19 @@ def _drive(
                 played, records[course] = records[course], []
                 visit = left[course].pop(0)
                 ended = ending(played, terminated=not info["TimeLimit.truncated"])
-                place = {"map": visit.map, "density": visit.density, "weather": info["weather"]}
-                named = {"seed": visit.seed, "index": visit.index, "driver": driver}
-                episodes.append(from_records(played, **place, **named, ended=ended))
+                episodes.append(_episode(played, visit, info["weather"], driver, ended))
     order = {visit: number for number, visit in enumerate(v for course in visits for v in course)}
     return sorted(episodes, key=lambda e: order[Visit(e.map, e.density, e.index, e.seed)])
+
+
+def _episode(records: list[Any], visit: Visit, weather: str, driver: str, ended: Ending) -> Episode:
+    return from_records(
+        records,
+        map=visit.map,
+        density=visit.density,
+        weather=weather,
+        seed=visit.seed,
+        index=visit.index,
+        driver=driver,
+        ended=ended,
+    )

@@ -4,7 +4,7 @@ checkpoints/best_000012288/
     recipe.yaml, policy.safetensors, progress.json    as in any checkpoint
     evaluation.json                                   the figures that it was chosen by
 
-It is for driving; training goes on from the numbered ones, which hold the optimiser. Its figures are read without torch.
+It is for driving; training goes on from the numbered ones, which hold the optimiser. To read figures needs no torch.
 """
 
 from __future__ import annotations

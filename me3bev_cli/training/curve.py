@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from me3bev_cli.training.best import SCORE
+
 WINDOW = 10
 """Updates in the moving average."""
 
@@ -21,6 +23,12 @@ def read_metrics(run: Path) -> list[dict[str, Any]]:
     return rows
 
 
+def reward_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The updates that tell of the policy's own reward: those of `ppo` stages, or where there are none, any that do."""
+    told = [row for row in rows if row.get("reward_per_step") is not None]
+    return [row for row in told if row.get("kind", "ppo") == "ppo"] or told
+
+
 def draw_curve(run: Path, out: Path) -> None:
     """Draw reward per step, raw and as a moving average, to a PNG.
 
@@ -30,7 +38,7 @@ def draw_curve(run: Path, out: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    rows = [row for row in read_metrics(run) if row.get("reward_per_step") is not None]
+    rows = reward_rows(read_metrics(run))
     if not rows:
         raise ValueError("nothing to draw: the run has no update yet")
     steps = [row["steps"] for row in rows]
@@ -46,6 +54,13 @@ def draw_curve(run: Path, out: Path) -> None:
     axes.set_title(run.name)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
+    judged = [row for row in read_metrics(run) if row.get(SCORE) is not None]
+    if judged:
+        scores = axes.twinx()
+        at, values = [row["steps"] for row in judged], [row[SCORE] for row in judged]
+        scores.plot(at, values, "o-", color="#c4541a", linewidth=1, markersize=4)
+        scores.set_ylabel("driving score (evaluation)", color="#c4541a")
+        scores.set_ylim(0, 100)
     temporary = out.with_name(f".{out.name}.part")
     figure.savefig(temporary, dpi=120, format="png")
     temporary.rename(out)

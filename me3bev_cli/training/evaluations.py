@@ -131,9 +131,10 @@ class Evaluations:
         """The episodes; None when training is to stop, or when worker processes die over and over."""
         trainer = self.trainer
         makers = Plan.of(trainer.recipe).makers
+        workers = trainer.recipe.stages[trainer.progress.stage].workers or cores()
         for _ in range(2):
             try:
-                return drive(trainer.network, makers, cores(), trainer.recipe.name, lambda: trainer.stopping)
+                return drive(trainer.network, makers, workers, trainer.recipe.name, lambda: trainer.stopping)
             except WorkerDiedError as error:
                 trainer.display.say(f"evaluation at step {trainer.progress.total_steps:,}: {error}")
         return None

@@ -2,27 +2,35 @@
 
 runs/NAME-DATE-TIME/
     recipe.yaml      as resolved
-    versions.json    of me3bev and of what it builds on
-    metrics.jsonl    one line per update
+    versions.json    of me3bev and of what it builds on, the machine, the seed
+    metrics.jsonl    one line per update and per evaluation
+    alarms.jsonl     what went wrong on the way, if anything
     tensorboard/
-    checkpoints/
+    checkpoints/     step_N: the newest, and one of every so many; best_N: the best by periodic evaluation
     reward.png       reward per step against environment steps
     summary.json     when it is finished
+
+Nothing here needs torch.
 """
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 from me3bev_cli.errors import RunError
 from me3bev_cli.files import atomic_write_text
 
 if TYPE_CHECKING:
     from me3bev_cli.recipe import Recipe
+
+LOCK = ".training"
+"""Of a run folder: held by the process that trains it."""
 
 PACKAGES = ("me3bev", "torch", "stable-baselines3", "gymnasium", "highway-env", "numpy", "numba")
 
@@ -88,6 +96,45 @@ def choose_run(recipe: Recipe, out: Path | None = None) -> Path:
     return run
 
 
+@contextmanager
+def training_in(run: Path) -> Iterator[None]:
+    """Hold a run while it is trained: nobody else trains it, and `is_training` says so. A dead process holds nothing.
+
+    Raises:
+        RunError: it is being trained already.
+    """
+    with open(run / LOCK, "a") as file:
+        for attempt in range(5):
+            if _lock(file):
+                break
+            time.sleep(0.1 * attempt)  # `is_training` may be asking.
+        else:
+            raise RunError(f"{run} is being trained by another process", hint="`me3bev runs` shows how far it is")
+        yield
+
+
+def is_training(run: Path) -> bool:
+    """Whether a process of this machine trains a run at this moment."""
+    try:
+        with open(run / LOCK) as file:
+            return not _lock(file)
+    except OSError:
+        return False
+
+
+def _lock(file: IO[str]) -> bool:
+    """Take a lock that ends with the file's last holder; False when another has it, True where there are none."""
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
 def make_run(run: Path, text: str) -> None:
     """Make the folder of a new run; `text` is the resolved recipe."""
     run.mkdir(parents=True, exist_ok=True)
@@ -104,3 +151,14 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+def provenance(recipe: Recipe) -> dict[str, Any]:
+    """What else decided a run's figures, beside its recipe: versions, machine, and the seed that all others come from.
+
+    Seeds of episodes, of actions and of minibatches are derived from it (`seeding.derive_seed`).
+    """
+    from me3bev_cli.bench.machine import machine
+
+    here = machine()
+    return {"versions": versions() | {"python": here.pop("python")}, "machine": here, "seed": recipe.seed}

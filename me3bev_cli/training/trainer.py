@@ -34,7 +34,8 @@ from me3bev_cli.training.checkpoint import (
 from me3bev_cli.training.curve import draw_curve, read_metrics
 from me3bev_cli.training.evaluations import Evaluations
 from me3bev_cli.training.journal import Journal
-from me3bev_cli.training.run import versions
+from me3bev_cli.training.memory_need import check_memory
+from me3bev_cli.training.run import provenance
 
 if TYPE_CHECKING:
     from me3bev_cli.recipe import Recipe
@@ -87,6 +88,7 @@ class Trainer:
         self.recipe, self.run, self.display, self.stop = recipe, run, display, stop
         self.device = pick_device(recipe.device)
         self.network: Network = build_network(recipe, recipe.seed).to(self.device)
+        check_memory(self.network, recipe, self.device)
         self.progress = Progress()
         self.evaluations = Evaluations(self)
         self._stage_state: dict[str, Any] | None = None
@@ -126,7 +128,7 @@ class Trainer:
         Raises:
             InterruptedTrainingError: Ctrl-C was pressed; a checkpoint has been written.
         """
-        atomic_write_text(self.run / "versions.json", json.dumps(versions(), indent=1))
+        atomic_write_text(self.run / "versions.json", json.dumps(provenance(self.recipe), indent=1))
         while self.progress.stage < len(self.recipe.stages):
             self._run_stage(self.recipe.stages[self.progress.stage])
             self.progress.stage += 1
