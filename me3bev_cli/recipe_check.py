@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from me3bev_cli import registry
 from me3bev_cli.api import ObservationConfig, PluginConfig, Rig, TokenSpec
 from me3bev_cli.errors import PluginError, RecipeError, UserError, unknown_name
+from me3bev_cli.perception.grid import grid_of
 from me3bev_cli.recipe import MODALITIES, Encoders, PluginChoice, Recipe, SimulatorChoice
 from me3bev_cli.recipe_faults import Fault, validate
 from me3bev_cli.recipe_yaml import Path
@@ -100,6 +101,7 @@ class Checker:
         simulator = self._simulator()
         rig = self._rig(simulator)
         tokens = self._tokens(rig)
+        self._grid(rig)
         self._temporal(tokens)
         widths = self._widths()
         fused = self._fused(widths) if widths else None
@@ -203,6 +205,19 @@ class Checker:
             if name in self.modalities and self.encoders is not None:
                 tokens[name] = TokenSpec(1, 1, getattr(self.encoders, name).width)
         return tokens
+
+    def _grid(self, rig: Rig | None) -> None:
+        """Segmentation is learned on a bird's-eye grid."""
+        chosen = self.chosen.get("spatial")
+        for index, stage in self._stages():
+            if stage.get("kind") != "perception":
+                continue
+            path: Path = ("stages", index, "kind")
+            if "bev" not in self.modalities:
+                self._fault(path, UserError("a perception stage needs bev among the modalities"))
+            elif chosen is not None and rig is not None:
+                name = self.data["spatial"]["name"]
+                self._asked(path, lambda name=name: grid_of(chosen.plugin, name, chosen.config, rig))  # type: ignore[misc]
 
     def _temporal(self, tokens: Mapping[str, TokenSpec]) -> None:
         chosen = self.chosen.get("temporal")

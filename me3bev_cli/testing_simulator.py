@@ -113,6 +113,7 @@ def _check_extras(cls: Any, env: Any) -> None:
     fits = classes.shape == (200, 200) and classes.dtype == np.uint8 and int(classes.max()) < len(BEV_CLASSES)
     require(cls, fits, "bev_semantics() is (200, 200) uint8 of known classes", (classes.shape, classes.dtype))
     _check_others(cls, env)
+    _check_camera_truth(cls, env)
     for size in PLAN_SIZES:
         plan = env.unwrapped.plan_view(size)
         fits = plan.shape == (size, size, 3) and plan.dtype == np.uint8
@@ -132,6 +133,18 @@ def _check_others(cls: Any, env: Any) -> None:
         line = world.route_line()
         fits = line.ndim == 2 and line.shape[1] == 3 and bool(np.isfinite(line).all())
         require(cls, fits, "route_line() is (P, 3), finite", line.shape)
+
+
+def _check_camera_truth(cls: Any, env: Any) -> None:
+    cameras, _, height, width = env.observation_space.spaces["images"].shape
+    depth, classes = env.unwrapped.camera_truth()
+    shapes = tuple(part.shape for part in (depth, classes))
+    promised = (cameras, height, width)
+    require(cls, shapes == (promised, promised), f"camera_truth() is depth and classes, each {promised}", shapes)
+    kinds = (depth.dtype, classes.dtype)
+    require(cls, kinds == (np.float32, np.uint8), "camera_truth() is float32 and uint8", kinds)
+    require(cls, bool((depth > 0).all()), "every depth is positive, inf where nothing is", float(depth.min()))
+    require(cls, int(classes.max()) < len(BEV_CLASSES), "every pixel is of a known class", int(classes.max()))
 
 
 def _check_weather(

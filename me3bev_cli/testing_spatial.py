@@ -93,6 +93,7 @@ def check_spatial(cls: Any, config: PluginConfig, rig: Rig, seed: int) -> None:
     images = seeded(seed, lambda: torch.randn(FRAMES, len(rig.cameras), 3, height, width))
     module = check_module(cls, lambda: cls(config, rig), partial(_run, images=images), seed)
     _check_shapes(cls, module, images, spec)
+    _check_grid(cls, config, rig, module, images)
     with torch.no_grad():
         whole = _run(module, images)
         _check_frames(cls, whole, lambda frame: _run(module, images[frame : frame + 1]))
@@ -120,6 +121,19 @@ def _check_shapes(cls: type, module: nn.Module, images: Tensor, spec: TokenSpec)
     if "depth_logits" in outputs:
         given = tuple(outputs["depth_logits"].shape)
         require(cls, given[1] == images.shape[1], "depth_logits has the cameras as second axis", given)
+        edges = getattr(module, "depth_edges", None)
+        told = None if edges is None else tuple(edges.shape)
+        require(cls, told == (given[2] + 1,), "a plugin with depth_logits has depth_edges, one more than bins", told)
+
+
+def _check_grid(cls: Any, config: PluginConfig, rig: Rig, module: nn.Module, images: Tensor) -> None:
+    """As grid_spec promises, which a plugin with a grid has."""
+    outputs, tells = _run(module, images), getattr(cls, "grid_spec", None)
+    require(cls, ("grid" in outputs) == (tells is not None), "a plugin has grid_spec if it gives a grid", tells)
+    if tells is not None:
+        spec, shape = tells(config, rig), tuple(outputs["grid"].shape[1:])
+        promised = (spec.channels, spec.rows, spec.columns)
+        require(cls, shape == promised, f"the grid's shape is {promised}, as grid_spec says", shape)
 
 
 def _check_frames(cls: type, whole: Outputs, single: Callable[[int], Outputs]) -> None:

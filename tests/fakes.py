@@ -15,7 +15,17 @@ from gymnasium import spaces
 from torch import nn
 
 from me3bev_cli import registry
-from me3bev_cli.api import Actors, Camera, ObservationConfig, PluginConfig, Rig, SpatialOutput, StepRecord, TokenSpec
+from me3bev_cli.api import (
+    Actors,
+    Camera,
+    GridSpec,
+    ObservationConfig,
+    PluginConfig,
+    Rig,
+    SpatialOutput,
+    StepRecord,
+    TokenSpec,
+)
 from me3bev_cli.errors import unknown_name
 from me3bev_cli.seeding import derive_seed
 
@@ -168,7 +178,30 @@ class TinySpatial(nn.Module):
         return SpatialOutput(maps.flatten(2).transpose(1, 2))
 
 
-PLUGINS = {("simulator", "line"): LineSimulator, ("spatial", "tiny_test"): TinySpatial}
+class TinyGrid(TinySpatial):
+    """As `TinySpatial`, with a map of 20 x 20 cells and depth in four bins at stride 8."""
+
+    def __init__(self, config: Any, rig: Rig) -> None:
+        super().__init__(config, rig)
+        self.fine = nn.Conv2d(3 * len(rig.cameras), 6, 8, stride=4, padding=2)
+        self.depth = nn.Conv2d(3, 4, 8, stride=8)
+        self.register_buffer("depth_edges", torch.tensor([2.0, 5.0, 9.0, 20.0, 50.0]), persistent=False)
+
+    @classmethod
+    def grid_spec(cls, config: Any, rig: Rig) -> GridSpec:
+        return GridSpec(6, 20, 20, (-50.0, 50.0), (-50.0, 50.0))
+
+    def forward(self, images: torch.Tensor) -> SpatialOutput:
+        grid = nn.functional.interpolate(self.fine(images.flatten(1, 2)), size=(20, 20))
+        depth = self.depth(images.flatten(0, 1)).unflatten(0, images.shape[:2])
+        return SpatialOutput(super().forward(images).tokens, grid, depth)
+
+
+PLUGINS = {
+    ("simulator", "line"): LineSimulator,
+    ("spatial", "tiny_test"): TinySpatial,
+    ("spatial", "tiny_grid"): TinyGrid,
+}
 
 
 @contextmanager
@@ -189,6 +222,11 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     yield
     monkeypatch.undo()
     registry.clear()
+
+
+def install_for_good() -> None:
+    """The fakes in a process of their own: nothing takes them away again."""
+    installed(pytest.MonkeyPatch()).__enter__()
 
 
 RECIPE = """

@@ -14,15 +14,15 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from me3bev_cli.api import GridSpec, Rig
-from me3bev_cli.errors import CheckpointError, UserError
+from me3bev_cli.errors import CheckpointError
 from me3bev_cli.files import atomic_write_bytes
+from me3bev_cli.perception.grid import REACH
 from me3bev_cli.perception.head import SegmentationHead
-from me3bev_cli.perception.truth import CELL, CELLS, DepthBins
+from me3bev_cli.perception.truth import DepthBins
 from me3bev_cli.pipeline.network import Network
 
 HEAD = "perception_head.safetensors"
 """The head's file in a run folder: its weights, and its sizes as metadata."""
-REACH = CELLS * CELL / 2
 
 
 class Seen(NamedTuple):
@@ -93,28 +93,6 @@ def load_model(network: Network, run: Path) -> PerceptionModel:
     except (SafetensorError, OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"{path} is damaged or of another make ({type(error).__name__})") from error
     return model
-
-
-def grid_of(plugin: Any, name: str, config: Any, rig: Rig) -> GridSpec:
-    """The bird's-eye grid of a spatial plugin.
-
-    Raises:
-        UserError: it has none, or one of another extent than the truth.
-    """
-    told = getattr(plugin, "grid_spec", None)
-    if told is None:
-        raise UserError(
-            f"the spatial plugin '{name}' gives no bird's-eye grid, so that it cannot learn segmentation",
-            hint="Leave the perception stage out, or choose a plugin with a grid, as lift_splat",
-        )
-    spec: GridSpec = told(config, rig)
-    for axis, extent in (("x_range", spec.x_range), ("y_range", spec.y_range)):
-        if tuple(extent) != (-REACH, REACH):
-            raise UserError(
-                f"{axis} of the grid is {list(extent)}, the truth that a perception stage learns from reaches "
-                f"from {-REACH:g} to {REACH:g} m"
-            )
-    return spec
 
 
 def depth_bins_of(spatial: nn.Module, rig: Rig) -> DepthBins | None:

@@ -21,9 +21,10 @@ from me3bev_cli.errors import UserError
 from me3bev_cli.perception.batches import Pool
 from me3bev_cli.perception.drawing import Drawer
 from me3bev_cli.perception.frames import Frames, FrameSource, Job
+from me3bev_cli.perception.grid import grid_of
 from me3bev_cli.perception.learning import Learner
 from me3bev_cli.perception.losses import balanced_weights
-from me3bev_cli.perception.model import PerceptionModel, depth_bins_of, grid_of
+from me3bev_cli.perception.model import PerceptionModel, depth_bins_of
 from me3bev_cli.perception.rounds import Rounds
 from me3bev_cli.perception.scoring import shown_scores, tally
 from me3bev_cli.perception.truth import classes_of, mirrored_cameras

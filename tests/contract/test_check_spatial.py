@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 import torch
-from fakes import TinySpatial
+from fakes import TinyGrid, TinySpatial
 from torch import Tensor, nn
 
-from me3bev_cli.api import Calibration, Rig, SpatialOutput, TokenSpec
+from me3bev_cli.api import Calibration, GridSpec, Rig, SpatialOutput, TokenSpec
 from me3bev_cli.errors import PluginError
 from me3bev_cli.testing import check_plugin
 
@@ -80,6 +80,7 @@ class Lifts(TinySpatial):
     def __init__(self, config: Any, rig: Rig) -> None:
         super().__init__(config, rig)
         self.depth = nn.Conv2d(3, self.bins, 8, stride=8)
+        self.register_buffer("depth_edges", torch.arange(1.0, self.bins + 2), persistent=False)
         self.context = nn.Conv2d(3, 8, 8, stride=8)
 
     def forward(self, images: Tensor) -> SpatialOutput:
@@ -97,6 +98,29 @@ class Turned(TinySpatial):
     def forward(self, images: Tensor) -> SpatialOutput:
         logits = images.mean(2)[:, :, None].expand(-1, -1, 2, -1, -1).transpose(1, 2)
         return SpatialOutput(super().forward(images).tokens, None, logits)
+
+
+class Borderless(TinyGrid):
+    """Does not say where its depth bins lie."""
+
+    def __init__(self, config: Any, rig: Rig) -> None:
+        super().__init__(config, rig)
+        del self.depth_edges
+
+
+class OtherGrid(TinyGrid):
+    """Promises a coarser grid than it gives."""
+
+    @classmethod
+    def grid_spec(cls, config: Any, rig: Rig) -> GridSpec:
+        return super().grid_spec(config, rig)._replace(rows=10)
+
+
+class UntoldGrid(TinySpatial):
+    """Gives a grid that nobody was told of."""
+
+    def forward(self, images: Tensor) -> SpatialOutput:
+        return super().forward(images)._replace(grid=images.mean((1, 2))[:, None])
 
 
 class Calibrated(TinySpatial):
@@ -142,6 +166,9 @@ def test_an_encoder_that_takes_calibration_passes() -> None:
         (Overflows, "bf16 autocast stays within 10% of float32"),
         (Lifts, "are never lifted to every depth bin. Seen: a tensor with 8 numbers for each point"),
         (Turned, "depth_logits has the cameras as second axis"),
+        (Borderless, "a plugin with depth_logits has depth_edges, one more than bins. Seen: None"),
+        (OtherGrid, "the grid's shape is (6, 10, 20), as grid_spec says. Seen: (6, 20, 20)"),
+        (UntoldGrid, "a plugin has grid_spec if it gives a grid"),
         (FirstFrames, "a frame's output does not depend on the others"),
         (OtherWay, "the rig's calibration given per frame changes nothing"),
         (WrongSpec, "the tokens' shape is (3, 4, 5)"),
