@@ -15,6 +15,7 @@ from me3bev_cli.commands import (
     collect,
     decode,
     drive,
+    logs,
     maps,
     metrics,
     plot,
@@ -96,6 +97,7 @@ app.command()(decode.decode)
 app.command()(bench_latency.bench_latency)
 app.command()(bench_env.bench_env)
 app.command()(bench_train.bench_train)
+app.add_typer(logs.app, name="logs", rich_help_panel=HELPERS)
 app.add_typer(maps.app, name="maps", rich_help_panel=HELPERS)
 app.add_typer(recipe.app, name="recipe", rich_help_panel=HELPERS)
 app.command(rich_help_panel=HELPERS)(plugins.plugins)

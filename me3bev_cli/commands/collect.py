@@ -23,20 +23,31 @@ def collect(
     episodes: Annotated[int, typer.Option(help="For each map and density.", min=1)] = 5,
     workers: Annotated[int, typer.Option(help="Processes; 0: this one.", min=0)] = 0,
     seed: Annotated[int, typer.Option(help="Of routes and traffic.", min=0)] = 0,
-    quality: Annotated[int, typer.Option(help="JPEG quality; 0 writes lossless PNG.", min=0, max=100)] = 92,
+    quality: Annotated[int | None, typer.Option(help="Of JPEG images. Default: 92.", min=1, max=100)] = None,
+    png: Annotated[bool, typer.Option("--png", help="Lossless PNG images instead of JPEG.")] = False,
+    depth: Annotated[bool, typer.Option("--depth", help="Every camera's depth, too.")] = False,
+    semantics: Annotated[bool, typer.Option("--semantics", help="The class of every camera's pixels, too.")] = False,
     json: Annotated[str | None, typer.Option(help="Write what was recorded.", metavar="FILE|-")] = None,
 ) -> None:
-    """Drive episodes and record them as MCAP files."""
+    """Drive episodes and record them as MCAP files, one for each, which viewers open.
+
+    The same command goes on where it was stopped; the files are the same for any number of workers.
+    """
+    from me3bev_cli.errors import UserError
     from me3bev_cli.evaluation.choice import choose_cells, choose_driver, reference_or_run
     from me3bev_cli.output import write_json
     from me3bev_cli.recording.collect import Recorder, Take
     from me3bev_cli.recording.collect import collect as record_all
+    from me3bev_cli.recording.writer import Options
     from me3bev_cli.training.display import clock
 
+    if png and quality is not None:
+        raise UserError("PNG images have no quality", where="--png", hint="Give --png or --quality")
     name, run = reference_or_run(driver)
     spec, loaded = choose_driver(run, "last", name, recipe, "auto")
     cells = choose_cells(loaded, maps, density, weather, "training")
-    recorder = Recorder(cells.world, spec, seed, out, quality)
+    options = Options(0 if png else 92 if quality is None else quality, depth, semantics)
+    recorder = Recorder(cells.world, spec, seed, out, options)
     takes = [Take(m, d, i) for d in cells.densities for m in cells.maps for i in range(episodes)]
     start, done, total_steps = time.monotonic(), 0, 0
 

@@ -15,6 +15,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Grid_pb2 import Grid
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
@@ -22,6 +23,7 @@ from me3bev_cli.api import Camera
 from me3bev_cli.errors import LogError
 
 NANOSECONDS = 1_000_000_000
+_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
 def stamp(nanoseconds: int) -> Timestamp:
@@ -31,12 +33,29 @@ def stamp(nanoseconds: int) -> Timestamp:
 
 def image_message(image: NDArray[np.uint8], camera: str, time: int, quality: int) -> CompressedImage:
     """An RGB image (3, H, W) as JPEG of the given quality, or as lossless PNG when `quality` is 0."""
-    bgr = np.ascontiguousarray(image.transpose(1, 2, 0)[:, :, ::-1])
-    suffix, options = ("png", []) if quality == 0 else ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+    # Channel by channel: many times faster than turning the array over.
+    bgr = cv2.merge((image[2], image[1], image[0]))
+    suffix, options = ("png", _PNG) if quality == 0 else ("jpeg", (cv2.IMWRITE_JPEG_QUALITY, quality))
     ok, data = cv2.imencode(f".{suffix}", bgr, options)
     if not ok:
         raise RuntimeError(f"OpenCV could not encode a {suffix} image of shape {bgr.shape}")
     return CompressedImage(timestamp=stamp(time), frame_id=f"camera_{camera}", data=data.tobytes(), format=suffix)
+
+
+def decode_image(data: Any, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+    """The RGB image (3, H, W) in a JPEG or PNG file's bytes, in `out` if it has that shape.
+
+    Raises:
+        LogError: it cannot be decoded.
+    """
+    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if len(data) else None
+    if bgr is None:
+        raise LogError("an image cannot be decoded", allowed="jpeg, png")
+    height, width = bgr.shape[:2]
+    if out is None or out.shape != (3, height, width):
+        out = np.empty((3, height, width), np.uint8)
+    cv2.split(bgr, [out[2], out[1], out[0]])  # Writes into the planes.
+    return out
 
 
 def image_array(message: Any) -> NDArray[np.uint8]:
@@ -45,10 +64,7 @@ def image_array(message: Any) -> NDArray[np.uint8]:
     Raises:
         LogError: it cannot be decoded.
     """
-    bgr = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
-    if bgr is None:
-        raise LogError(f"an image of format '{message.format}' cannot be decoded", allowed="jpeg, png")
-    return np.ascontiguousarray(bgr[:, :, ::-1].transpose(2, 0, 1))
+    return decode_image(message.data)
 
 
 def calibration_message(camera: Camera, time: int) -> CameraCalibration:
@@ -119,6 +135,45 @@ def grid_message(classes: NDArray[np.uint8], cell: float, time: int) -> Grid:
 
 
 def grid_array(message: Any) -> NDArray[np.uint8]:
-    """The inverse of `grid_message`."""
-    flat = np.frombuffer(message.data, np.uint8).reshape(-1, message.row_stride)
+    """The inverse of `grid_message`.
+
+    Raises:
+        LogError: the grid is not one of single bytes.
+    """
+    fields, stride = message.fields, message.row_stride
+    if message.cell_stride != 1 or len(fields) != 1 or fields[0].type != PackedElementField.UINT8:
+        raise LogError("a foxglove.Grid does not hold one class (uint8) per cell")
+    if stride != message.column_count or not stride or len(message.data) % stride:
+        raise LogError(f"a foxglove.Grid of {message.column_count} columns has {len(message.data)} bytes")
+    flat = np.frombuffer(message.data, np.uint8).reshape(-1, stride)
     return np.ascontiguousarray(flat.T[::-1, ::-1])
+
+
+def raw_message(image: NDArray[Any], camera: str, time: int) -> RawImage:
+    """An array (H, W) as it is: float32 (depth, metres; inf where nothing is) or uint8 (classes)."""
+    height, width = image.shape
+    encoding = {np.dtype(np.float32): "32FC1", np.dtype(np.uint8): "mono8"}[image.dtype]
+    return RawImage(
+        timestamp=stamp(time),
+        frame_id=f"camera_{camera}",
+        width=width,
+        height=height,
+        encoding=encoding,
+        step=width * image.itemsize,
+        data=np.ascontiguousarray(image).tobytes(),
+    )
+
+
+def raw_array(message: Any) -> NDArray[Any]:
+    """The inverse of `raw_message`.
+
+    Raises:
+        LogError: another encoding.
+    """
+    kinds = {"32FC1": "<f4", "mono8": "u1", "8UC1": "u1"}
+    kind = np.dtype(kinds[message.encoding]) if message.encoding in kinds else None
+    if kind is None or message.step != message.width * kind.itemsize:
+        raise LogError(f"a foxglove.RawImage is encoded as '{message.encoding}'", allowed="32FC1, mono8")
+    if len(message.data) != message.height * message.step:
+        raise LogError(f"a foxglove.RawImage of {message.width} x {message.height} has {len(message.data)} bytes")
+    return np.frombuffer(message.data, kind).reshape(message.height, message.width)

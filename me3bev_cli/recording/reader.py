@@ -1,25 +1,24 @@
-"""MCAP episodes back into arrays."""
+"""MCAP episodes back into steps."""
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.Grid_pb2 import Grid
-from google.protobuf.message import DecodeError
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 from numpy.typing import NDArray
 
+from me3bev_cli.api import StepRecord
 from me3bev_cli.errors import LogError
-from me3bev_cli.recording.messages import grid_array, image_array
-from me3bev_cli.recording.writer import BEV_TOPIC, STEP_TOPIC
+from me3bev_cli.evaluation.episode import STEP_DTYPE, Episode, from_records
+from me3bev_cli.recording.frames import FrameLog
+from me3bev_cli.recording.logfile import LogFile
+from me3bev_cli.recording.writer import METADATA, OUTCOME
+
+OBSERVATION = ("images", "road", "vehicle", "navigation")
+RECORD = ("state", "reward", "speed", "infractions")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +37,22 @@ def episode_files(folder: Path) -> list[Path]:
     Raises:
         LogError: the folder is not there or holds none.
     """
-    files = sorted(folder.glob("*.mcap")) if folder.is_dir() else []
+    if not folder.is_dir():
+        what = "this is a file, not a folder" if folder.exists() else "there is no such folder"
+        raise LogError(what, where=str(folder), hint="`me3bev collect --out DIR` records logs")
+    files = sorted(folder.glob("*.mcap"))
     if not files:
         raise LogError(f"{folder} holds no MCAP file", hint="`me3bev collect --out DIR` records some")
     return files
+
+
+def log_files(place: Path) -> list[Path]:
+    """The logs that a path means: a file itself, or those of a folder.
+
+    Raises:
+        LogError: there are none.
+    """
+    return [place] if place.is_file() else episode_files(place)
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -50,45 +61,62 @@ def read_metadata(path: Path) -> dict[str, str]:
     Raises:
         LogError: the file is damaged.
     """
-    with open(path, "rb") as file:
-        try:
-            found = [dict(m.metadata) for m in make_reader(file).iter_metadata() if m.name == "me3bev"]
-        except (McapError, EOFError, ValueError) as error:
-            raise LogError(f"{path} is damaged or truncated ({error})") from error
-    return found[0] if found else {}
+    return LogFile(path).metadata.get(METADATA, {})
 
 
 def read_steps(path: Path) -> Iterator[Step]:
-    """The episode's steps, in order.
+    """The episode's steps, in order. Of a file that is cut off, those in its whole chunks, with a LogWarning.
 
     Raises:
         LogError: the file is damaged, or it lacks a topic (the message names it).
     """
-    frame: dict[str, Any] = {}
-    images: dict[str, NDArray[np.uint8]] = {}
-    any_step = False
-    with open(path, "rb") as file:
-        try:
-            for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
-                if schema is not None and schema.name == "foxglove.CompressedImage":
-                    images[channel.topic] = image_array(CompressedImage.FromString(message.data))
-                elif channel.topic == BEV_TOPIC:
-                    frame["bev"] = grid_array(Grid.FromString(message.data))
-                elif channel.topic == STEP_TOPIC:
-                    any_step = True
-                    yield _step(path, json.loads(message.data), images, frame)
-                    images, frame = {}, {}
-        except (McapError, EOFError, ValueError, DecodeError) as error:
-            raise LogError(f"{path} is damaged or truncated ({error})") from error
-    if not any_step:
-        raise LogError(f"{path} has no topic {STEP_TOPIC}", hint="`me3bev collect` writes it")
+    log = FrameLog(path, (*OBSERVATION, "action", *RECORD, "bev"))
+    for number in range(len(log)):
+        frame = log.frame(number)
+        observation = {key: frame[key] for key in OBSERVATION}
+        yield Step(observation, frame["action"], record_of(frame), frame["bev"])
 
 
-def _step(path: Path, data: dict[str, Any], images: dict[str, Any], frame: dict[str, Any]) -> Step:
-    if not images or "bev" not in frame:
-        missing = BEV_TOPIC if images else "/camera/NAME/image"
-        raise LogError(f"{path} has no topic {missing} before a {STEP_TOPIC}", hint="`me3bev collect` writes it")
-    observation = {key: np.array(data[key], np.float32) for key in ("road", "vehicle", "navigation")}
-    observation["images"] = np.stack(list(images.values()))
-    record = {key: math.nan if value is None else value for key, value in data["record"].items()}
-    return Step(observation, np.array(data["action"], np.float32), record, frame["bev"])
+def record_of(frame: dict[str, Any]) -> dict[str, Any]:
+    """The StepRecord of a frame that has the parts `RECORD`."""
+    return {**frame["state"], **frame["infractions"], "reward": frame["reward"], "speed": frame["speed"]}
+
+
+def read_records(path: Path) -> tuple[list[StepRecord], FrameLog]:
+    """What the environment reported of each step, without decoding an image, and the log.
+
+    Raises:
+        LogError: as `read_steps`.
+    """
+    log = FrameLog(path, RECORD)
+    records: list[Any] = [record_of(log.frame(number)) for number in range(len(log))]
+    return records, log
+
+
+def read_episode(path: Path) -> Episode:
+    """The drive in a log as evaluations keep it, so that every metric can be computed from it again.
+
+    Raises:
+        LogError: as `read_steps`; or the log was not made by `me3bev collect`, or its records have other fields.
+    """
+    records, log = read_records(path)
+    about, outcome = log.metadata, log.file.metadata.get(OUTCOME, {})
+    try:
+        given: dict[str, Any] = {
+            "map": about["map"],
+            "density": about["density"],
+            "weather": about["weather"],
+            "seed": int(about["seed"]),
+            "index": int(about["index"]),
+            "driver": about["driver"],
+        }
+    except (KeyError, ValueError) as error:
+        raise LogError(
+            f"the log does not say which episode it is ({error})", where=str(path), hint="`me3bev collect` writes it"
+        ) from None
+    lacking = sorted(set(STEP_DTYPE.names or ()) - set(records[0]))
+    if lacking:
+        raise LogError(f"the log's records lack {', '.join(lacking)}", where=str(path), hint="Record it again")
+    # Nobody knows how a drive went on whose file is cut off.
+    ended: Any = outcome.get("ended") or ("collision" if records[-1]["collision"] else "stopped")
+    return from_records(records, ended=ended, **given)

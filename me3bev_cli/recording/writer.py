@@ -2,53 +2,69 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, get_type_hints
+from typing import Any, NamedTuple
 
 import numpy as np
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import CompressionType, Writer
-from mcap_protobuf.schema import register_schema
+from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
-from me3bev_cli.api import Rig, StepRecord
-from me3bev_cli.recording import messages
+from me3bev_cli.api import Actors, Rig, StepRecord
+from me3bev_cli.errors import LogError
+from me3bev_cli.recording import messages, topics
+from me3bev_cli.recording.container import LogWriter
+from me3bev_cli.recording.scene import actors_data, route_message
 
-STEP_TOPIC, BEV_TOPIC, TRANSFORM_TOPIC = "/step", "/bev/truth", "/tf"
+METADATA, OUTCOME = "me3bev", "me3bev.outcome"
+"""Names of the metadata that is written at the start, and at the end."""
 BEV_CELL = 0.5
 """Metres per cell of the semantic truth."""
 
-_NUMBERS = {"type": "array", "items": {"type": "number"}}
-STEP_SCHEMA = {
-    "title": "me3bev.Step",
-    "type": "object",
-    "properties": {
-        "road": _NUMBERS,
-        "vehicle": _NUMBERS,
-        "navigation": _NUMBERS,
-        "action": _NUMBERS,
-        "record": {
-            "type": "object",
-            "properties": {
-                name: {"type": {str: "string", bool: "boolean"}.get(kind, "number")}
-                for name, kind in get_type_hints(StepRecord).items()
-            },
-        },
-    },
-}
+
+@dataclass(frozen=True)
+class Options:
+    """What is recorded, and how."""
+
+    quality: int = 92
+    """Of JPEG, 1 to 100; 0 writes lossless PNG."""
+    depth: bool = False
+    """Every camera's depth."""
+    semantics: bool = False
+    """The classes of every camera's pixels."""
+
+    @property
+    def images(self) -> str:
+        """For the file's metadata."""
+        return f"jpeg {self.quality}" if self.quality else "png"
 
 
-def image_topic(camera: str) -> str:
-    """Topic of a camera's images."""
-    return f"/camera/{camera}/image"
+class Truth(NamedTuple):
+    """What the simulator knows of the moment of an observation."""
+
+    bev: NDArray[np.uint8]
+    """(X, Y), classes as `BEV_CLASSES`."""
+    pose: tuple[float, float, float]
+    """x, y, heading of the ego."""
+    actors: Actors | None = None
+    depth: NDArray[np.float32] | None = None
+    """(C, H, W), metres."""
+    semantics: NDArray[np.uint8] | None = None
+    """(C, H, W)."""
 
 
-def calibration_topic(camera: str) -> str:
-    """Topic of a camera's calibration."""
-    return f"/camera/{camera}/calibration"
+@cache
+def schema_bytes(message: Any) -> bytes:
+    """The definition of a protobuf class, with all that it needs."""
+    definition: FileDescriptorSet = build_file_descriptor_set(message)
+    return definition.SerializeToString(deterministic=True)
 
 
 class EpisodeWriter:
@@ -58,64 +74,115 @@ class EpisodeWriter:
         path: the file to make.
         rig: the cameras, in the order of the images.
         metadata: recipe, map, density, weather, seed, versions; kept in the file.
-        quality: of JPEG, 1 to 100; 0 writes lossless PNG.
+        options: what is recorded.
+        route: the centre line (P, 3) that is to be driven, for viewers.
+
+    Raises:
+        LogError: the system refuses, as when the disk is full; so do `add` and `finish`.
     """
 
-    def __init__(self, path: Path, rig: Rig, metadata: Mapping[str, str], quality: int = 92) -> None:
-        self.path, self.rig, self.quality = path, rig, quality
-        self.temporary = path.with_name(f".{path.name}.part")
-        self._file = open(self.temporary, "wb")  # noqa: SIM115 - closed by finish or __exit__
-        self._writer = Writer(self._file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
-        self._writer.start(profile="", library="me3bev")
-        self._writer.add_metadata("me3bev", dict(metadata))
-        schema_text = json.dumps(STEP_SCHEMA).encode()
-        schema = self._writer.register_schema("me3bev.Step", SchemaEncoding.JSONSchema, schema_text)
-        self._step = self._writer.register_channel(STEP_TOPIC, MessageEncoding.JSON, schema)
+    def __init__(
+        self,
+        path: Path,
+        rig: Rig,
+        metadata: Mapping[str, str],
+        options: Options | None = None,
+        route: NDArray[np.float64] | None = None,
+    ) -> None:
+        self.path, self.rig, self.options = path, rig, options or Options()
+        self.temporary = partial_path(path)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._time = 0
+        self.steps = 0
+        try:
+            self._file = open(self.temporary, "wb")  # noqa: SIM115 - closed by finish or __exit__
+            self._log = LogWriter(self._file)
+            self._log.metadata(METADATA, {**metadata, "cameras": ",".join(camera.name for camera in rig.cameras)})
+            self._begin(route)
+        except OSError as error:
+            self._discard()
+            raise unwritable(path, error) from error
+
+    def _begin(self, route: NDArray[np.float64] | None) -> None:
+        """What holds for the whole episode."""
+        for camera in self.rig.cameras:
+            self._write(topics.calibration_topic(camera.name), messages.calibration_message(camera, 0))
+            self._write(topics.mount_topic(camera.name), messages.camera_transform(camera, 0))
+        if route is not None:
+            self._write(topics.ROUTE, route_message(route, 0))
+
+    def _channel(self, topic: str, message: Any) -> int:
+        if topic not in self._channels:
+            name = message.DESCRIPTOR.full_name
+            if name not in self._schemas:
+                self._schemas[name] = self._log.schema(name, SchemaEncoding.Protobuf, schema_bytes(message))
+            self._channels[topic] = self._log.channel(topic, MessageEncoding.Protobuf, self._schemas[name])
+        return self._channels[topic]
 
     def _write(self, topic: str, message: Any) -> None:
-        name = message.DESCRIPTOR.full_name
-        if name not in self._schemas:
-            self._schemas[name] = register_schema(self._writer, type(message))
-        if topic not in self._channels:
-            self._channels[topic] = self._writer.register_channel(topic, MessageEncoding.Protobuf, self._schemas[name])
-        self._writer.add_message(self._channels[topic], self._time, message.SerializeToString(), self._time)
+        self._log.message(self._channel(topic, type(message)), self._time, message.SerializeToString())
 
-    def _calibrate(self) -> None:
-        for camera in self.rig.cameras:
-            self._write(calibration_topic(camera.name), messages.calibration_message(camera, self._time))
-            self._write(TRANSFORM_TOPIC, messages.camera_transform(camera, self._time))
+    def look(self, observation: Mapping[str, NDArray[Any]], truth: Truth) -> None:
+        """The first half of a step: what is seen, and the truth of that moment."""
+        try:
+            self._write(topics.TRANSFORM, messages.ego_transform(*truth.pose, self._time))
+            self._add_cameras(observation["images"], truth)
+            self._write(topics.BEV, messages.grid_message(truth.bev, BEV_CELL, self._time))
+            if truth.actors is not None:
+                data = actors_data(truth.actors, truth.pose[:2], self._time)
+                self._log.message(self._channel(topics.ACTORS, SceneUpdate), self._time, data)
+            now = messages.stamp(self._time)
+            for name, topic in topics.VECTORS.items():
+                self._write(topic, topics.Vector(timestamp=now, values=observation[name].tolist()))
+        except OSError as error:
+            raise unwritable(self.path, error) from error
 
-    def add(
-        self,
-        observation: Mapping[str, NDArray[Any]],
-        action: NDArray[np.float32],
-        record: StepRecord,
-        bev: NDArray[np.uint8],
-        pose: tuple[float, float, float],
-    ) -> None:
-        """One step: what was seen, the BEV truth and pose (x, y, heading) then, the action, and what came of it."""
-        self._time = round((record["time"]) * 1e9)
-        if not self._channels:
-            self._calibrate()
-        self._write(TRANSFORM_TOPIC, messages.ego_transform(*pose, self._time))
-        for camera, image in zip(self.rig.cameras, observation["images"], strict=True):
-            self._write(image_topic(camera.name), messages.image_message(image, camera.name, self._time, self.quality))
-        self._write(BEV_TOPIC, messages.grid_message(bev, BEV_CELL, self._time))
-        step = {
-            **{key: observation[key].tolist() for key in ("road", "vehicle", "navigation")},
-            "action": [float(value) for value in action],
-            "record": {key: None if value != value else value for key, value in record.items()},
-        }
-        self._writer.add_message(self._step, self._time, json.dumps(step).encode(), self._time)
+    def act(self, action: NDArray[np.float32], record: StepRecord) -> None:
+        """The second half: what is done, and what came of it."""
+        now, values = messages.stamp(self._time), dict(record)
+        steering, longitudinal = (float(value) for value in action)
+        broken = {name: values[name] for name in topics.INFRACTION_FIELDS}
+        state = {name: values[name] for name in topics.STATE_FIELDS}
+        try:
+            self._write(topics.ACTION, topics.Action(timestamp=now, steering=steering, longitudinal=longitudinal))
+            self._write(topics.STATE, topics.State(timestamp=now, **state))
+            self._write(topics.REWARD, topics.Number(timestamp=now, value=values["reward"]))
+            self._write(topics.SPEED, topics.Number(timestamp=now, value=values["speed"]))
+            self._write(topics.INFRACTIONS, topics.Infractions(timestamp=now, **broken))
+            self._log.end_step()
+        except OSError as error:
+            raise unwritable(self.path, error) from error
+        # The next observation is taken when this step is over.
+        self._time = round(record["time"] * 1e9)
+        self.steps += 1
 
-    def finish(self) -> None:
-        """Write the index, close and rename."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._file.close()
-        self.temporary.rename(self.path)
+    def _add_cameras(self, images: NDArray[np.uint8], truth: Truth) -> None:
+        time = self._time
+        for i, (camera, image) in enumerate(zip(self.rig.cameras, images, strict=True)):
+            name = camera.name
+            self._write(topics.image_topic(name), messages.image_message(image, name, time, self.options.quality))
+            if truth.depth is not None:
+                self._write(topics.depth_topic(name), messages.raw_message(truth.depth[i], name, time))
+            if truth.semantics is not None:
+                self._write(topics.semantics_topic(name), messages.raw_message(truth.semantics[i], name, time))
+
+    def finish(self, outcome: Mapping[str, str] | None = None) -> None:
+        """Write how it ended and the index, close and rename."""
+        try:
+            self._log.end_chunk()
+            self._log.metadata(OUTCOME, {"steps": str(self.steps), **(outcome or {})})
+            self._log.finish()
+            self._file.close()
+            self.temporary.replace(self.path)
+        except OSError as error:
+            self._discard()
+            raise unwritable(self.path, error) from error
+
+    def _discard(self) -> None:
+        with suppress(OSError, AttributeError):  # What could not be written is not wanted any more.
+            self._file.close()
+        self.temporary.unlink(missing_ok=True)
 
     def __enter__(self) -> EpisodeWriter:
         return self
@@ -123,8 +190,17 @@ class EpisodeWriter:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
+        if kind is not None:
+            self._discard()
+        elif not self._file.closed:
             self.finish()
-        else:
-            self._file.close()
-            self.temporary.unlink(missing_ok=True)
+
+
+def partial_path(path: Path) -> Path:
+    """What a log is called until it is whole."""
+    return path.with_name(f".{path.name}.part")
+
+
+def unwritable(path: Path, error: OSError) -> LogError:
+    """The error for a log that the system does not let us write."""
+    return LogError(f"cannot be written: {error.strerror or error}", where=str(path))

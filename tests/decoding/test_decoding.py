@@ -135,7 +135,7 @@ def test_logs_are_decoded_if_they_hold_what_the_policy_sees(line_recipe: Path, t
     takes = [Take("F1", "low", number) for number in range(2)]
     for folder, seen in (("fit", observation), ("other", observation.model_copy(update={"width": 64}))):
         world = World(PluginChoice(name="line"), seen)
-        collect(Recorder(world, DriverSpec("autopilot", "autopilot"), 0, tmp_path / folder, 90), takes, workers=0)
+        collect(Recorder(world, DriverSpec("autopilot", "autopilot"), 0, tmp_path / folder), takes, workers=0)
 
     def run(folder: str) -> dict[str, object]:
         plan = Plan(["F1"], "low", episodes=0, steps=2, batch=2, seed=0, logs=tmp_path / folder)
