@@ -8,7 +8,6 @@ arrays at the recipe's size.
 
 from __future__ import annotations
 
-import copy
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,7 +24,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from me3bev_cli.bench.train_stacked import StackedFrames, StackedPolicy
 from me3bev_cli.errors import UserError
 from me3bev_cli.pipeline.assemble import build_network, pick_device
-from me3bev_cli.pipeline.policy import DrivingPolicy
+from me3bev_cli.pipeline.policy import STARTS, DrivingPolicy
 from me3bev_cli.recipe import Recipe
 from me3bev_cli.recipe_stages import PpoStage
 from me3bev_cli.training.environments import make_environments
@@ -164,11 +163,11 @@ def _filled(contest: Contest, progress: Progress) -> Iterator[dict[str, PPO]]:
             OURS_FROZEN: contest.ours(one(), steps, frozen=True),
             PLAIN_FROZEN: contest.plain(StackedFrames(one(), contest.length), steps, frozen=True),
         }
-        for number, (name, model) in enumerate(models.items()):
-            progress("rollouts", number, len(models))
-            if name != PLAIN_FROZEN:
-                collect(model, steps)
-        models[PLAIN_FROZEN].rollout_buffer = copy.deepcopy(models[PLAIN].rollout_buffer)
+        for number, name in enumerate((OURS, OURS_FROZEN)):
+            progress("rollouts", number, 2)
+            collect(models[name], steps)
+        for name in (PLAIN, PLAIN_FROZEN):
+            fill_stacked(models[name].rollout_buffer, models[OURS].rollout_buffer)  # type: ignore[arg-type]
         yield models
     finally:
         for fleet in fleets:
@@ -176,10 +175,31 @@ def _filled(contest: Contest, progress: Progress) -> Iterator[dict[str, PPO]]:
 
 
 def collect(model: PPO, steps: int) -> None:
-    """Fill the model's buffer from the beginning of an episode."""
+    """Fill the model's buffer, with the same chance for everybody.
+
+    The rollout kept is the second one: the first begins with an episode, and needs no frames from before.
+    """
     assert model.env is not None
+    torch.manual_seed(0)
     _, callback = model._setup_learn(steps, Quiet())
-    model.collect_rollouts(model.env, callback, model.rollout_buffer, steps)
+    for _ in range(2):
+        model.collect_rollouts(model.env, callback, model.rollout_buffer, steps)
+
+
+def fill_stacked(target: DictRolloutBuffer, source: SequenceRolloutBuffer) -> None:
+    """Put the samples of a rollout of single frames into SB3's buffer, each with its window."""
+    length = source.prefix + 1
+    for t in range(source.buffer_size):
+        seen = {key: array[t : t + length].swapaxes(0, 1) for key, array in source.frames.items()}
+        target.add(
+            seen | {STARTS: source.starts[t : t + length].T},
+            source.actions[t],
+            source.rewards[t],
+            source.episode_starts[t],
+            torch.as_tensor(source.values[t]),
+            torch.as_tensor(source.log_probs[t]),
+        )
+    target.advantages, target.returns = source.advantages.copy(), source.returns.copy()
 
 
 def _collection(contest: Contest, count: int, steps: int) -> dict[str, float]:

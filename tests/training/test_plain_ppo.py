@@ -185,3 +185,28 @@ def test_a_stream_starts_its_segments_from_the_stored_state(line_recipe: Path) -
         values, log_prob, _ = model.policy.evaluate_actions(batch.observations, batch.actions)
         torch.testing.assert_close(values, batch.old_values, rtol=1e-4, atol=1e-5)
         torch.testing.assert_close(log_prob, batch.old_log_prob, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("frozen", [(), ("spatial",)])
+def test_a_gpu_gives_the_gradients_of_the_cpu(line_recipe: Path, frozen: tuple[str, ...]) -> None:
+    here = ours(line_recipe, [], frozen=frozen)
+    there = ours(line_recipe, [], sizes={"device": "cuda"}, frozen=frozen, microbatch=16)
+    collect(here)
+    there.set_logger(Logger(None, []))
+    there._setup_learn(10_000, Quiet())
+    for name in ("frames", "starts", *(key for key in vars(here.rollout_buffer) if key.startswith("episode"))):
+        setattr(there.rollout_buffer, name, getattr(here.rollout_buffer, name))
+    for name in ("actions", "rewards", "values", "log_probs", "advantages", "returns", "full"):
+        setattr(there.rollout_buffer, name, getattr(here.rollout_buffer, name))
+    wanted = gradients(here)
+    mine = gradients(there)
+    for name, grad in wanted.items():
+        torch.testing.assert_close(mine[name].cpu(), grad, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.cuda
+def test_a_gpu_collects_and_learns(line_recipe: Path) -> None:
+    model = ours(line_recipe, [], sizes={"device": "cuda"}, frozen=("spatial",), autocast="bfloat16")
+    collect(model)
+    assert all(bool(grad.isfinite().all()) for grad in gradients(model).values())
