@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TextIO
 
-from rich.console import Console, Group
+from rich.console import Console
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
@@ -23,7 +23,7 @@ def start(stream: TextIO) -> Live:
     return live
 
 
-def table(where: Mapping[str, str], figures: Sequence[tuple[str, str]], steps: int, total: int) -> Group:
+def table(where: Mapping[str, str], figures: Sequence[tuple[str, str]], steps: int, total: int) -> Table:
     """A bar, and pairs of label and value below it.
 
     Args:
@@ -37,4 +37,7 @@ def table(where: Mapping[str, str], figures: Sequence[tuple[str, str]], steps: i
     pairs = [*where.items(), *figures]
     for first in range(0, len(pairs), COLUMNS):
         grid.add_row(*(cell for pair in pairs[first : first + COLUMNS] for cell in pair))
-    return Group(ProgressBar(total=max(total, 1), completed=min(steps, total), width=60), grid)
+    whole = Table.grid()
+    whole.add_row(ProgressBar(total=max(total, 1), completed=min(steps, total), width=60))
+    whole.add_row(grid)
+    return whole
