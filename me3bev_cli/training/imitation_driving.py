@@ -11,11 +11,11 @@ import torch
 from numpy.typing import NDArray
 
 from me3bev_cli.pipeline.network import embedding_key
-from me3bev_cli.pipeline.policy import settled_embeddings
+from me3bev_cli.pipeline.policy import computing, settled_embeddings
+from me3bev_cli.pipeline.sensor import SOURCES
 from me3bev_cli.pipeline.transfer import to_device, to_tensors
 from me3bev_cli.training.alarms import check_rewards
 from me3bev_cli.training.demonstrations import LABEL, Arrays, Floats, Round, drifting_noise
-from me3bev_cli.training.imitation_learning import computing
 from me3bev_cli.training.replay import ReplayedEnvs
 from me3bev_cli.training.shaped_reward import PLAIN
 
@@ -107,9 +107,10 @@ class RoundDriver:
         settled = settled_embeddings(self.network, self.stage.freeze)
         if not settled:
             return frames, observation
-        with computing(self.stage.autocast, self.device):
+        with computing(self.device, self.stage.autocast):
             embeddings = self.network.encode(frames)
-        kept = {key: value for key, value in observation.items() if key != "images" or "bev" not in settled}
+        replaced = {source for name in settled for source in SOURCES[name]}
+        kept = {key: value for key, value in observation.items() if key not in replaced}
         for name in settled:
             frames[embedding_key(name)] = embeddings[name].float()
             kept[embedding_key(name)] = embeddings[name].float().cpu().numpy()
@@ -118,7 +119,7 @@ class RoundDriver:
     @torch.no_grad()
     def _decide(self, frames: dict[str, torch.Tensor], state: Any, starts: NDArray[np.bool_]) -> tuple[Floats, Any]:
         """The policy's mean actions (n, 2), and its memory after them."""
-        with computing(self.stage.autocast, self.device):
+        with computing(self.device, self.stage.autocast):
             decision, state = self.network.step(frames, state, to_device(starts, self.device))
         return decision.actions.mode().clamp(-1.0, 1.0).cpu().numpy(), state
 

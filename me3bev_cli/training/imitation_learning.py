@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from me3bev_cli.pipeline.policy import PARTS
+from me3bev_cli.pipeline.policy import PARTS, computing
 from me3bev_cli.pipeline.transfer import to_device, to_tensors
 from me3bev_cli.training.demonstrations import Floats, Lesson
 
 if TYPE_CHECKING:
     from me3bev_cli.pipeline.network import Network
     from me3bev_cli.recipe_stages import ImitationStage
-
-
-def computing(precision: str | None, device: torch.device) -> AbstractContextManager[None]:
-    """The context in which the network runs, in driving as in learning: a recipe's `autocast`."""
-    return nullcontext() if precision is None else torch.autocast(device.type, getattr(torch, precision))
 
 
 class Losses(NamedTuple):
@@ -50,7 +44,7 @@ class Learner:
         self.network.train()
         for module in self.frozen:
             module.eval()
-        with computing(self.stage.autocast, self.device):
+        with computing(self.device, self.stage.autocast):
             modes, values = self._evaluate(lesson)
         action = self._distance(modes, to_device(lesson.labels, self.device))
         value = nn.functional.mse_loss(values, to_device(lesson.returns, self.device))

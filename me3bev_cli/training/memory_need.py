@@ -127,7 +127,7 @@ def _stored_frames(network: Network, stage: Stage) -> int:
     if isinstance(stage, PpoStage):
         return (network.prefix + stage.rollout) * stage.envs
     if isinstance(stage, ImitationStage):
-        return max(stage.pool, stage.rollout * stage.envs)
+        return max(min(stage.pool, stage.steps), stage.rollout * stage.envs)
     return stage.pool + stage.held_out
 
 
