@@ -5,9 +5,13 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 
+import numpy as np
+
 from me3bev_cli.training.convergence import Group, reached
 
 COLOURS = ("#1f4e8c", "#c4541a", "#2a7f4f", "#7a3e9d", "#a08100", "#0f8b9d", "#b0285a", "#555555")
+FINE = 500
+"""Points of a shade's outline."""
 STYLES = ("-", "--", "-.", ":")
 """So that lines differ in print and without colour as well."""
 
@@ -33,7 +37,10 @@ def convergence_picture(groups: Sequence[Group], window: int) -> bytes:
             values = curve.smooth if several else curve.reward
             axes.plot(curve.steps, values, color=colour, linewidth=0.7, alpha=0.35)
         if several:
-            axes.fill_between(group.steps, group.low, group.high, color=colour, alpha=0.15, linewidth=0)
+            # Between two updates too: lines may cross there.
+            fine = np.unique(np.concatenate([group.steps, np.linspace(group.steps[0], group.steps[-1], FINE)]))
+            runs = np.stack([np.interp(fine, curve.steps, curve.smooth) for curve in group.curves])
+            axes.fill_between(fine, runs.min(axis=0), runs.max(axis=0), color=colour, alpha=0.15, linewidth=0)
         seeds = f", {len(group.curves)} seeds" if several else ""
         axes.plot(group.steps, group.mean, style, color=colour, linewidth=2, label=f"{group.label}{seeds}")
         found = reached(group.steps, group.mean)

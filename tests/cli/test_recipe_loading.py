@@ -107,7 +107,8 @@ def test_a_fault_in_what_is_extended_names_that_file(recipe: Write) -> None:
     assert faults(recipe("extends: base.yaml\nsede: 1\n", "child.yaml")) == [
         "base.yaml:10: temporal.heds: unknown key 'heds'; did you mean 'heads'? Allowed: heads, dropout",
         "child.yaml:2: sede: unknown key 'sede'; did you mean 'seed'? Allowed: name, simulator, weather, observation, "
-        "modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
+        "modalities, spatial, encoders, temporal, context, fusion, policy, reward, stages, evaluation, keep_every, "
+        "seed, device",
     ]
 
 
@@ -148,7 +149,8 @@ def test_faulty_overrides_are_named_as_written(recipe: Write) -> None:
         "--set stages.first.steps=3: 'stages' is a list without 'first'. Allowed: 0",
         "--set a=[1: not YAML: expected ',' or ']', but got '<stream end>'",
         "--set sed=1: sed: unknown key 'sed'; did you mean 'seed'? Allowed: name, simulator, weather, observation, "
-        "modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
+        "modalities, spatial, encoders, temporal, context, fusion, policy, reward, stages, evaluation, keep_every, "
+        "seed, device",
         "--set stages.0.clip=x: stages.0.clip: expected a number, got 'x'",
     ]
 

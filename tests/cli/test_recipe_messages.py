@@ -56,7 +56,8 @@ device: tpu
         "mine.yaml:7: temporal: expected a block of keys, got 'attention'. Write {name: attention}",
         "mine.yaml:8: context.kind: 'windw' is not among the choices; did you mean 'window'? Allowed: window, stream",
         "mine.yaml:9: polcy: unknown key 'polcy'; did you mean 'policy'? Allowed: name, simulator, weather, "
-        "observation, modalities, spatial, encoders, temporal, context, fusion, policy, stages, seed, device",
+        "observation, modalities, spatial, encoders, temporal, context, fusion, policy, reward, stages, evaluation, "
+        "keep_every, seed, device",
         "mine.yaml:11: stages.0.steps: expected a whole number, got 1.5",
         "mine.yaml:11: stages.0.clip: 1 is out of range. Allowed: < 1.0",
         f"mine.yaml:11: stages.0.gama: unknown key 'gama'; did you mean 'gamma'? Allowed: {stage_keys}",
