@@ -53,8 +53,8 @@ def test_a_mistake_is_one_message_and_exit_code_2(recipe: Write) -> None:
         "me3bev: mine.yaml:10: temporal: width 16 is not a multiple of heads 3 (vectors of bev)\n"
         "mine.yaml:10: temporal: width 32 is not a multiple of heads 3 (vectors of vr and nav)\n"
         "--set sed=1: sed: unknown key 'sed'; did you mean 'seed'? Allowed: name, simulator, weather, observation, "
-        "modalities, spatial, encoders, temporal, context, fusion, policy, reward, stages, evaluation, keep_every, seed, "
-        "device\n"
+        "modalities, spatial, encoders, temporal, context, fusion, policy, reward, stages, evaluation, keep_every, "
+        "seed, device\n"
     )
 
 
