@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium import spaces
 
 from me3bev_cli.errors import MapError
+from me3bev_cli.training.episodes import SeededEpisodes
 
 
 class Noise(gymnasium.Env[dict[str, Any], Any]):
@@ -71,3 +72,13 @@ class MakeNoise:
         if self.fails:
             raise MapError(f"no world for {self.name}", allowed="others")
         return Noise(self.name)
+
+
+@dataclass(frozen=True)
+class MakeSeededNoise:
+    """Makes one whose episodes follow from their index."""
+
+    first: int
+
+    def __call__(self) -> gymnasium.Env[Any, Any]:
+        return SeededEpisodes(Noise(str(self.first)), ("noise",), self.first, 3)

@@ -214,19 +214,25 @@ class Trainer:
         weights = {key: value.detach().clone() for key, value in self.network.state_dict().items()}
         self._mark = _Mark(replace(self.progress), weights, state, saved)
 
-    def save_mark(self) -> None:
-        """Write the checkpoint that was marked last, unless it has been written."""
+    def save_mark(self, draw: bool = True) -> None:
+        """Write the checkpoint that was marked last, unless it has been written.
+
+        Args:
+            draw: the curve too, which takes longer than all the rest.
+        """
         mark = self._mark
         if mark is not None and not mark.saved:
             mark.progress.seconds = self._seconds()
             self._save(mark.weights, mark.progress, mark.state)
             mark.saved = True
+            if draw:
+                self._draw()
 
     def _go_back_to_mark(self) -> None:
         """End a stage where it was marked last: what came after is done again when the run goes on."""
         if self._mark is None:
             return
-        self.save_mark()
+        self.save_mark(draw=False)
         again = self.progress.total_steps - self._mark.progress.total_steps
         if again:
             self.display.say(f"the last {again:,} steps will be done again: their update was not finished")
@@ -242,7 +248,10 @@ class Trainer:
             DiskError: it cannot be written.
         """
         self.progress.seconds = self._seconds()
-        return self._save(self.network.state_dict(), self.progress, state)
+        folder = self._save(self.network.state_dict(), self.progress, state)
+        if not self.stopping:
+            self._draw()
+        return folder
 
     def _seconds(self) -> float:
         """Time spent training, over all sittings, until now."""
@@ -251,10 +260,12 @@ class Trainer:
     def _save(self, weights: Mapping[str, torch.Tensor], progress: Progress, state: dict[str, Any]) -> Path:
         folder = save_checkpoint(self.run, weights, self.recipe, progress, state)
         prune(self.run, KEEP, self.recipe.keep_every)
+        return folder
+
+    def _draw(self) -> None:
         # Nothing to draw before the first update; and a curve that cannot be written is no reason to stop.
         with suppress(ValueError, OSError):
             draw_curve(self.run, self.run / "reward.png")
-        return folder
 
     def _finish(self, last: Path) -> None:
         rows = read_metrics(self.run)
