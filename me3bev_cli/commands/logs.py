@@ -44,11 +44,13 @@ def info(place: Place, mapping: MappingOption = None, json: JsonOption = None) -
     files, topics = _opened(place, mapping)
     infos, bad = folder_info(files, topics)
     out = console(json)
-    if infos:
-        out.print(_table(totals(infos) if len(files) > 1 else infos))
+    if len(files) > 1 and infos:
+        out.print(_table(totals(infos)))
         size, steps = sum(one.bytes for one in infos), sum(one.steps for one in infos)
-        each = size / max(steps, 1)
-        out.print(f"{len(infos)} episodes, {steps:,} steps, {size / 1e6:,.1f} MB, {each:,.0f} bytes per step")
+        out.print(f"{len(infos)} episodes, {steps:,} steps, {size / 1e6:,.1f} MB, {size / steps:,.0f} bytes per step")
+    elif infos:
+        for name, value in asdict(infos[0]).items():
+            out.print(f"{name.replace('_', ' '):<16}{_cell(value)}")
     cut = [one.file for one in infos if one.ended == "cut off"]
     for name in cut:
         print(f"{name} is cut off: `me3bev logs check` says what is lost", file=sys.stderr)

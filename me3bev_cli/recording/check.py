@@ -31,17 +31,20 @@ OPTIONAL = ("depth", "semantics", "actors")
 
 def check_log(path: Path, mapping: TopicMapping | None = None) -> list[str]:
     """What is wrong with a log; nothing when it is sound. Every byte is read and every image decoded."""
+    faults: list[str] = []
     try:
-        parts = _parts(path, mapping)
-        log = FrameLog(path, parts, mapping)
-        faults = [log.file.note] if log.file.note else list(_summary_faults(log))
+        log = FrameLog(path, _parts(path, mapping), mapping)
+        if log.note is not None:
+            faults.append(log.note)
+        else:
+            faults += _summary_faults(log)
         faults += _time_faults(log, mapping is None)
         faults += _frame_faults(log)
-        if METADATA in log.file.metadata and not log.file.note:
+        if METADATA in log.file.metadata and log.note is None:
             read_episode(path)
         log.close()
     except UserError as error:
-        return [str(error)]
+        faults.append(str(error))
     return faults
 
 

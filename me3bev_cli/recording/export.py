@@ -111,7 +111,7 @@ def recover(path: Path, out: Path) -> int:
         LogError: nothing of it can be read, it is whole, or the system does not let us write.
     """
     log = FrameLog(path, ("images",))
-    if log.file.note is None:
+    if log.file.indexed:
         raise LogError("nothing is missing", where=str(path))
     if out.exists():
         raise LogError("there is such a file already", where=str(out))

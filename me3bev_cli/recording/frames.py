@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from me3bev_cli.errors import LogError
 from me3bev_cli.recording.decode import FORMS, check_schema, parse
-from me3bev_cli.recording.logfile import LogFile
+from me3bev_cli.recording.logfile import LogFile, LogWarning
 from me3bev_cli.recording.mapping import PER_CAMERA, SINGLE, TopicMapping, own_mapping
 from me3bev_cli.recording.writer import METADATA
 
@@ -44,6 +45,10 @@ class FrameLog:
         self.parts = tuple(parts)
         self._topics = {part: self._topics_of(part, mapping is not None) for part in self.parts}
         self.times, self._places = self._align()
+        self.note = f"{self.file.note}; {len(self)} frames are there" if self.file.note else None
+        """What is missing of a log that is cut off."""
+        if self.note is not None:
+            warnings.warn(self.note, LogWarning, stacklevel=2)
 
     @property
     def path(self) -> Path:
@@ -61,6 +66,8 @@ class FrameLog:
         if len(topics) < wanted:
             raise LogError(f"the mapping names {len(topics)} of {wanted} topics for `{part}`", where=str(self.path))
         missing = [topic for topic in topics if topic not in self.file.channels]
+        if missing and self.file.note:
+            raise LogError(f"{self.file.note}; no frame is there")
         if missing:
             hint = "Another name can be given in a mapping" if not mapped else "The mapping names topics of another log"
             there = ", ".join(sorted(self.file.channels)) or "none"
@@ -92,6 +99,8 @@ class FrameLog:
             whole &= apart <= self.mapping.tolerance * 1e9
             chosen.append(others.places[nearest] if len(others.times) else np.zeros((len(times), 2), np.int64))
         places = np.stack(chosen, axis=1) if chosen else np.zeros((len(times), 0, 2), np.int64)
+        if not whole.any() and self.file.note:
+            raise LogError(f"{self.file.note}; no frame is there")
         if not whole.any():
             raise LogError(
                 "the log holds no whole frame" + (f" of {', '.join(topics)}" if len(times) else ""),

@@ -64,7 +64,7 @@ def log_info(path: Path, mapping: TopicMapping | None = None) -> LogInfo:
         seconds=(last - first) / 1e9,
         bytes=frames.file.size,
         images=f"{len(frames.cameras)} {about.get('images', '')}".strip(),
-        ended="cut off" if frames.file.note else outcome.get("ended", ""),
+        ended="cut off" if frames.note else outcome.get("ended", ""),
         **{name: told.get(name) for name in ("collisions", *EVENTS, "off_road_steps")},
     )
     frames.close()

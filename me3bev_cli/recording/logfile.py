@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import struct
-import warnings
 from collections import OrderedDict
 from collections.abc import Iterable
 from pathlib import Path
@@ -79,7 +78,10 @@ class LogFile:
             raise LogError("this is no MCAP file", where=str(path))
         self.size = os.fstat(self.descriptor).st_size
         self.metadata: dict[str, dict[str, str]] = {}
-        self.contents = self._summary() or self._scan()
+        found = self._summary()
+        self.indexed = found is not None
+        """Whether the file has an index."""
+        self.contents = found or self._scan()
         self.channels: dict[str, Channel] = {c.topic: c for c in self.contents.channels.values()}
         self.metadata |= {record.name: dict(record.metadata) for record in self.contents.metadata}
 
@@ -120,6 +122,10 @@ class LogFile:
                 summary = reader.get_summary()
                 if summary is None or not summary.chunk_indexes:
                     return None
+                told = {index for chunk in summary.chunk_indexes for index in chunk.message_index_offsets}
+                schemas = {channel.schema_id for channel in summary.channels.values()} - {0}
+                if not summary.channels or told - set(summary.channels) or schemas - set(summary.schemas):
+                    return None  # Not every writer repeats them at the end.
                 contents.schemas, contents.channels = summary.schemas, summary.channels
                 contents.metadata = list(reader.iter_metadata())
             self._indexes = summary.chunk_indexes
@@ -144,7 +150,6 @@ class LogFile:
                 f"{self.path} is cut off: {len(contents.chunks)} whole chunks ({contents.good / 1e6:.2f} MB) are read, "
                 f"{lost / 1e6:.2f} MB after them are lost"
             )
-            warnings.warn(self.note, LogWarning, stacklevel=4)
         return contents
 
     def entries(self, topics: Iterable[str]) -> dict[str, Entries]:
