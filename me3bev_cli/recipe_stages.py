@@ -179,6 +179,7 @@ class PerceptionStage(SimulatedStage):
         default=0.5, ge=0, le=1, description="weight of far cells that no camera sees, beside 1 for the others"
     )
     dice: float = Field(default=1.0, ge=0, description="weight of the dice loss")
+    tokens: float = Field(default=0.5, ge=0, description="weight of the same losses on a map made of the tokens alone")
     depth: float = Field(default=0.5, ge=0, description="weight of the depth loss, where there is depth to predict")
     mirror: bool = Field(default=True, description="mirror half of the frames, where the cameras stand symmetrically")
     head_width: Width = Field(default=64, description="channels between the two layers of the segmentation head")

@@ -56,11 +56,15 @@ class Learner:
     def _losses(self, batch: Batch) -> dict[str, Tensor]:
         stage = self.stage
         with nullcontext() if self.autocast is None else torch.autocast(self.device.type, self.autocast):
-            seen = self.model(batch.images)
-        scores = seen.scores.float()
-        entropy, dice = segmentation_losses(scores, batch.truth, self.class_weights, batch.cells)
+            seen = self.model(batch.images, tokens=stage.tokens > 0)
+        entropy, dice = segmentation_losses(seen.scores.float(), batch.truth, self.class_weights, batch.cells)
         losses = {"segmentation_loss": entropy, "dice_loss": dice}
         total = entropy + stage.dice * dice
+        if seen.token_scores is not None:
+            scores = seen.token_scores.float()
+            entropy, dice = segmentation_losses(scores, batch.truth, self.class_weights, batch.cells)
+            losses["token_loss"] = entropy + stage.dice * dice
+            total = total + stage.tokens * losses["token_loss"]
         if stage.depth and seen.depth_logits is not None and batch.depth.shape[2]:
             losses["depth_loss"] = depth_loss(seen.depth_logits.float(), batch.depth)
             total = total + stage.depth * losses["depth_loss"]
@@ -69,12 +73,12 @@ class Learner:
     def state(self) -> dict[str, Any]:
         """What `restore` takes up, beside the spatial part's weights."""
         return {
-            "head": self.model.head.state_dict(),
+            "heads": self.model.heads().state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "class_weights": self.class_weights.cpu(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from where `state` was taken."""
-        self.model.head.load_state_dict(state["head"])
+        self.model.heads().load_state_dict(state["heads"])
         self.optimizer.load_state_dict(state["optimizer"])

@@ -22,7 +22,7 @@ from me3bev_cli.perception.truth import DepthBins
 from me3bev_cli.pipeline.network import Network
 
 HEAD = "perception_head.safetensors"
-"""The head's file in a run folder: its weights, and its sizes as metadata."""
+"""The heads' file in a run folder: their weights, and their sizes as metadata."""
 
 
 class Seen(NamedTuple):
@@ -32,43 +32,60 @@ class Seen(NamedTuple):
     """(N, 8, 200, 200), before the softmax."""
     depth_logits: Tensor | None
     """(N, C, bins, h, w)"""
+    token_scores: Tensor | None = None
+    """As `scores`, made of the tokens alone."""
 
 
 class PerceptionModel(nn.Module):
     """Images (N, C, 3, H, W) uint8 -> class scores and depth.
 
+    One head reads the grid, another the tokens: these are what a driver is given, and must say what is where too.
+
     Args:
         network: whose spatial part is used; its grid must be known to be there, see `grid_of`.
         grid: of the spatial part.
-        width: of the head.
-        seed: of the head's weights.
+        width: of the heads.
+        seed: of the heads' weights.
     """
 
     def __init__(self, network: Network, grid: GridSpec, width: int, seed: int) -> None:
         super().__init__()
         assert network.spatial is not None
+        assert network.tokens is not None
+        tokens = network.tokens
         self.sensor, self.spatial = network.sensor, network.spatial
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.head = SegmentationHead(grid.channels, (grid.rows, grid.columns), width).to(network.device)
+            self.token_head = SegmentationHead(tokens.width, (tokens.rows, tokens.columns), width).to(network.device)
+        self.token_size = (tokens.rows, tokens.columns)
         self.sizes = {"channels": grid.channels, "rows": grid.rows, "columns": grid.columns, "width": width}
 
-    def forward(self, images: Tensor) -> Seen:
-        """See the class."""
+    def forward(self, images: Tensor, tokens: bool = False) -> Seen:
+        """See the class; the head on the tokens is asked only where `tokens` says so."""
         out = self.spatial(self.sensor.images({"images": images}))
-        return Seen(self.head(out.grid), out.depth_logits)
+        token_scores = None
+        if tokens:
+            token_scores = self.token_head(out.tokens.transpose(1, 2).unflatten(2, self.token_size))
+        return Seen(self.head(out.grid), out.depth_logits, token_scores)
 
     @torch.inference_mode()
-    def classes(self, images: Tensor, autocast: torch.dtype | None = None) -> NDArray[Any]:
-        """The likeliest class of each cell, (N, 200, 200) uint8."""
+    def classes(self, images: Tensor, autocast: torch.dtype | None = None, tokens: bool = False) -> NDArray[Any]:
+        """The likeliest class of each cell, (N, 200, 200) uint8, by the grid or by the tokens."""
         with nullcontext() if autocast is None else torch.autocast(images.device.type, autocast):
-            found = self(images).scores.argmax(1)
+            seen = self(images, tokens)
+        scores = seen.scores if seen.token_scores is None else seen.token_scores
+        found = scores.argmax(1)
         array: NDArray[Any] = found.to(torch.uint8).cpu().numpy()
         return array
 
+    def heads(self) -> nn.ModuleDict:
+        """Both heads by name: what is not the policy's."""
+        return nn.ModuleDict({"head": self.head, "token_head": self.token_head})
+
     def keep_head(self, run: Path) -> None:
-        """Write the head to its file in a run folder, whole or not at all."""
-        weights = {key: value.detach().cpu().contiguous() for key, value in self.head.state_dict().items()}
+        """Write the heads to their file in a run folder, whole or not at all."""
+        weights = {key: value.detach().cpu().contiguous() for key, value in self.heads().state_dict().items()}
         atomic_write_bytes(run / HEAD, save(weights, {"sizes": json.dumps(self.sizes)}))
 
 
@@ -89,7 +106,7 @@ def load_model(network: Network, run: Path) -> PerceptionModel:
             weights = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
         spec = GridSpec(sizes["channels"], sizes["rows"], sizes["columns"], (-REACH, REACH), (-REACH, REACH))
         model = PerceptionModel(network, spec, sizes["width"], 0)
-        model.head.load_state_dict(weights)
+        model.heads().load_state_dict(weights)
     except (SafetensorError, OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
         raise CheckpointError(f"{path} is damaged or of another make ({type(error).__name__})") from error
     return model

@@ -22,11 +22,13 @@ def tally(
     drawn: Iterable[Frames],
     autocast: torch.dtype | None = None,
     going: Callable[[], None] | None = None,
+    tokens: bool = False,
 ) -> Tally:
     """Count the model's maps of frames against the truth.
 
     Args:
         going: called now and then; what it raises ends the counting.
+        tokens: score the maps that are made of the tokens alone, not those of the grid.
     """
     device = next(model.parameters()).device
     counted = Tally()
@@ -38,13 +40,13 @@ def tally(
             if going is not None:
                 going()
             maps = frames.maps[low : low + BATCH]
-            decoded = model.classes(to_device(frames.images[low : low + BATCH], device), autocast)
+            decoded = model.classes(to_device(frames.images[low : low + BATCH], device), autocast, tokens)
             counted.add(classes_of(maps), decoded, seen_in(maps) if told else None)
     model.train()
     return counted
 
 
-def shown_scores(counted: Tally) -> dict[str, float]:
-    """`near_road`, `seen_vehicle` and so on: what the log of a run holds."""
+def shown_scores(counted: Tally, source: str = "") -> dict[str, float]:
+    """`near_road`, `seen_vehicle` and so on, `source` before them: what the log of a run holds."""
     masks = [mask for mask in ("near", "seen") if counted.counts[mask].any()]
-    return {f"{mask}_{name}": counted.iou(mask)[name] for mask in masks for name in SHOWN}
+    return {f"{source}{mask}_{name}": counted.iou(mask)[name] for mask in masks for name in SHOWN}

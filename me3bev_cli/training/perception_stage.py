@@ -152,7 +152,7 @@ class PerceptionRunner:
         learner = self.learner or self._make_learner(balanced_weights(_class_counts(drawn), stage.balance))
         row: dict[str, float | None] = {**self._learn(learner, drawer, drawn, steps)}
         if held_out and (_passed(stage.score_every, place.before, after) or after >= stage.steps):
-            row |= shown_scores(tally(self.model, held_out, learner.autocast, self._check_stop))
+            row |= self._scores(held_out, learner.autocast)
         saved = _passed(stage.checkpoint_every, place.before, after)
         self.place = Place(place.round + 1, before=after, oldest=place.oldest)
         self.trainer.progress.updates += 1
@@ -160,6 +160,14 @@ class PerceptionRunner:
         self.trainer.log(row)
         if saved and after < stage.steps:
             self.save()
+
+    def _scores(self, held_out: list[Frames], autocast: torch.dtype | None) -> dict[str, float]:
+        """Of the maps of the grid, and of those of the tokens where these are learned from."""
+        scores = shown_scores(tally(self.model, held_out, autocast, self._check_stop))
+        if self.stage.tokens:
+            of_tokens = tally(self.model, held_out, autocast, self._check_stop, tokens=True)
+            scores |= shown_scores(of_tokens, "tokens_")
+        return scores
 
     def _learn(self, learner: Learner, drawer: Drawer, drawn: list[Frames], steps: int) -> dict[str, float]:
         """A round's gradient steps; the means of its losses."""

@@ -32,7 +32,7 @@ def trainer(path: Path, run: Path, overrides: list[str]) -> Trainer:
 
 def learned(run: Path) -> dict[str, torch.Tensor]:
     network = Controller.load(run).network
-    return {**network.state_dict(), **load_model(network, run).head.state_dict()}
+    return {**network.state_dict(), **load_model(network, run).heads().state_dict()}
 
 
 def assert_same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> None:
@@ -46,7 +46,9 @@ def test_it_learns_and_keeps_its_head(line_recipe: Path, overrides: list[str], r
     rows = read_metrics(run)
     assert [row["steps"] for row in rows] == [32, 64, 96]
     assert rows[-1]["loss"] < rows[0]["loss"]
-    assert {"segmentation_loss", "dice_loss", "depth_loss", "learning_rate", "steps_per_second"} <= set(rows[0])
+    assert rows[-1]["token_loss"] < rows[0]["token_loss"]
+    assert "tokens_near_vehicle" in rows[-1]
+    assert {"segmentation_loss", "dice_loss", "token_loss", "depth_loss", "learning_rate", "steps_per_second"} <= set(rows[0])
     assert ["near_road" in row for row in rows] == [False, True, True]
     assert load_progress(last).done
     after = learned(run)
