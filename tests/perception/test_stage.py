@@ -48,7 +48,9 @@ def test_it_learns_and_keeps_its_head(line_recipe: Path, overrides: list[str], r
     assert rows[-1]["loss"] < rows[0]["loss"]
     assert rows[-1]["token_loss"] < rows[0]["token_loss"]
     assert "tokens_near_vehicle" in rows[-1]
-    assert {"segmentation_loss", "dice_loss", "token_loss", "depth_loss", "learning_rate", "steps_per_second"} <= set(rows[0])
+    assert {"segmentation_loss", "dice_loss", "token_loss", "depth_loss", "learning_rate", "steps_per_second"} <= set(
+        rows[0]
+    )
     assert ["near_road" in row for row in rows] == [False, True, True]
     assert load_progress(last).done
     after = learned(run)
