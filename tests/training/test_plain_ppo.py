@@ -133,6 +133,16 @@ def test_stored_embeddings_give_the_gradients_of_stored_images(
     assert same(gradients(tokens), wanted)
 
 
+def test_collection_encodes_all_environments_at_once(line_recipe: Path) -> None:
+    model = ours(line_recipe, [])
+    seen: list[int] = []
+    model.network.spatial.register_forward_pre_hook(lambda _, given: seen.append(len(given[0])))  # type: ignore[union-attr]
+    collect(model, 1)
+    # Each step once, the frame after the last one, and those that a time limit cut off: both at a time.
+    cut = int(model.rollout_buffer.episode_starts[1:, 0].sum())
+    assert seen == [ENVS] * (STEPS + 1 + cut)
+
+
 def test_what_is_frozen_is_the_same_in_collection_and_update(line_recipe: Path) -> None:
     model = ours(line_recipe, [], frozen=("spatial",))
     dropout = torch.nn.Dropout(0.5)
