@@ -110,7 +110,7 @@ def _print_setup(place: Any, report: dict[str, Any]) -> None:
     place.print(
         f"timed: SB3's train() of both, one pass over one minibatch of {setup['samples']} samples "
         f"(ours: segments of {setup['segment']}),\n"
-        f"       loss, backward pass and optimiser step; same network, weights and episodes; "
+        f"       loss, backward pass and optimiser step; same network, weights and samples; "
         f"medians of {setup['rounds']} rounds in turns"
     )
     if setup["microbatch"]:

@@ -11,7 +11,8 @@ import torch
 from typer.testing import CliRunner
 
 from me3bev_cli.bench import train
-from me3bev_cli.bench.train import OURS, OURS_FROZEN, PLAIN, PLAIN_FROZEN, Contest, rollout_bytes
+from me3bev_cli.bench.train import OURS, OURS_FROZEN, PLAIN, PLAIN_FROZEN, rollout_bytes
+from me3bev_cli.bench.train_contestants import Contest
 from me3bev_cli.bench.train_stacked import StackedFrames
 from me3bev_cli.errors import UserError
 from me3bev_cli.main import app
