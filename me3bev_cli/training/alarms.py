@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,6 +110,21 @@ def guard_outputs(network: Any, run: Path) -> Callable[[], None]:
             hook.remove()
 
     return end
+
+
+def check_losses(values: Mapping[str, Any], run: Path) -> None:
+    """Look at what an update has told: clipping makes nothing of a gradient that is too long to be measured, so that
+    a loss may be infinite while every gradient is finite.
+
+    Raises:
+        NonFiniteError: a loss is not finite.
+    """
+    for key in ("train/loss", "train/value_loss", "train/policy_gradient_loss", "train/approx_kl"):
+        if key in values and not np.isfinite(values[key]):
+            raise NonFiniteError(
+                f"{key.removeprefix('train/')} of the last update is {values[key]}; the update is not kept",
+                hint=repeats(run),
+            )
 
 
 def check_rewards(rewards: NDArray[np.floating[Any]], episodes: list[int]) -> None:

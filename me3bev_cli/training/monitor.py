@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
-from me3bev_cli.training.alarms import Watch, check_rewards
+from me3bev_cli.training.alarms import Watch, check_losses, check_rewards
 from me3bev_cli.training.ppo_state import capture, take_up
 from me3bev_cli.training.shaped_reward import PLAIN
 from me3bev_cli.training.trainer import InterruptedTrainingError
@@ -113,6 +113,7 @@ class Monitor(BaseCallback):
             self.shaped.clear()
         self.rewards.clear()
         self.trainer.log(row)
+        check_losses(values, self.trainer.run)
         entropy = row.get("entropy_loss")
         self.watch.update(row.get("kl"), None if entropy is None else -entropy)
 
