@@ -56,12 +56,12 @@ def drive(
         WorkerDiedError: a worker died.
     """
     workers = min(workers, len(makers))
-    env = ParallelEnvs(makers, workers) if workers > 1 else DummyVecEnv(list(makers))
-    try:
-        with undisturbed(network):
+    with undisturbed(network):
+        env = ParallelEnvs(makers, workers) if workers > 1 else DummyVecEnv(list(makers))
+        try:
             return _drive(network, env, [maker.visits for maker in makers], driver, stopping)
-    finally:
-        env.close()
+        finally:
+            env.close()
 
 
 @torch.inference_mode()

@@ -25,6 +25,9 @@ LABELS = {
 }
 """Column of the log -> label and decimals, in the order in which they are shown."""
 
+MOST = 20
+"""Figures in the table: it must fit a screen of 24 lines."""
+
 EVALUATION = {
     SCORE: ("driving score", 1),
     "eval_collision_rate": ("collisions", 2),
@@ -48,7 +51,7 @@ def figures(row: Mapping[str, Any]) -> list[tuple[str, str]]:
     """What of a row is shown, with labels: what every stage has first, then what is this kind of stage's own."""
     known = [(label, number(row[key], digits)) for key, (label, digits) in LABELS.items() if key in row]
     own = [
-        (key.replace("_", " "), number(value, 4))
+        (key.replace("_", " "), number(value, 3))
         for key, value in row.items()
         if key not in LABELS and key not in HIDDEN and not key.startswith("eval_")
     ]
@@ -113,8 +116,10 @@ class Display:
         elif self.live:
             if self.last and self.last["stage"] != row["stage"]:
                 self._print(self._text(self.last))
-            self.last = row
-            self._draw(row)
+                self.last = {}
+            # What is not measured at every update stays to be seen.
+            self.last = self.last | row
+            self._draw(self.last)
         else:
             self.last = row
             self._print(self._text(row))
@@ -164,7 +169,7 @@ class Display:
 
         if self._table is None:
             self._table = start(self.stream)
-        shown = figures(row)
+        shown = figures(row)[:MOST]
         if self.best is not None:
             shown.append(("best evaluation", f"{self.best[0]:.1f} at {self.best[1]:,}"))
         self._table.update(table(self.where(row), shown, row["steps"], self.total), refresh=True)

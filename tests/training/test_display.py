@@ -90,7 +90,7 @@ def test_plain_lines_for_every_kind_of_stage() -> None:
     assert "\x1b" not in stream.getvalue()
     assert lines[0] == "reward: the paper's"
     assert lines[1].startswith("stage 1/3 perception  100/9,000 steps")
-    assert lines[1].endswith("loss 0.5123  iou vehicle 0.2500")
+    assert lines[1].endswith("loss 0.512  iou vehicle 0.250")
     assert lines[2].endswith("reward/step 1.23  collisions 0.50  completion -  kl 0.0123")
     assert lines[3] == (
         "evaluation at 1,064 steps  driving score 41.2  collisions 0.50  completion 0.62  success 0.25"
@@ -148,6 +148,22 @@ def test_a_table_in_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     # The last line of a stage that is over stays to be read.
     assert re.search(r"stage 2/3 ppo  1,064/9,000 steps .*reward/step 1.23", text)
     assert max(len(line) for line in text.splitlines() if "evaluation at" not in line and "steps  " not in line) <= 80
+
+
+def test_what_is_not_measured_at_every_update_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    master, slave = pty.openpty()
+    with open(slave, "w") as stream:
+        display = Display(9000, 3, stream=stream, plan=PLAN)
+        display.update(row(0, 100, loss=0.5, seen_road=0.75))
+        display.update(row(0, 200, loss=0.25))
+        display.close()
+        assert display.last["seen_road"] == 0.75
+        assert display.last["loss"] == 0.25
+        display.update(row(1, 64, reward_per_step=1.0))
+        display.close()
+    assert "seen_road" not in display.last
+    os.close(master)
 
 
 def test_a_dumb_terminal_gets_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
