@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from me3bev_cli.errors import CheckpointError
 from me3bev_cli.seeding import derive_seed
 from me3bev_cli.training.alarms import WORKER, guard_gradients, guard_outputs
 from me3bev_cli.training.demonstrations import Floats, Pool, Round, Taught
@@ -45,7 +46,13 @@ class ImitationRunner:
         self._before: list[tuple[int, int, Floats]] = []
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take up optimiser, random state and the round; its frames come when the environments have been made."""
+        """Take up optimiser, random state and the round; its frames come when the environments have been made.
+
+        Raises:
+            CheckpointError: the state is of another version.
+        """
+        if not {"optimizer", "round", "rounds"} <= state.keys():
+            raise CheckpointError("the checkpoint is of another version of me3bev and cannot be gone on from")
         self.learner.optimizer.load_state_dict(state["optimizer"])
         torch.set_rng_state(state["torch_random"])
         if "cuda_random" in state and torch.cuda.is_available():
@@ -66,6 +73,8 @@ class ImitationRunner:
             AlarmError: something is wrong; a checkpoint of the moment before has been written.
         """
         trainer, stage = self.trainer, self.stage
+        if self.index >= self.count:
+            return
         env = make_environments(trainer.recipe, stage, around=Taught, told=lambda text: trainer.warn(WORKER, text))
         end = guard_outputs(trainer.network, trainer.run)
         guard_gradients(self.learner.optimizer, trainer.network, trainer.run)
@@ -137,7 +146,7 @@ class ImitationRunner:
     def _play_again(self, driver: RoundDriver) -> Outcome | None:
         """Fill the pool as it was when the checkpoint was written; the present round's outcome if it was driven."""
         outcome = None
-        for index, first, actions in self._before if self.index < self.count else ():
+        for index, first, actions in self._before:
             one = self._empty(index, first)
             rng = self._rng("driving", index)
             played = driver.drive(one, self.stage.beta**index, rng, lambda *_: self._check_stop(), actions)
