@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -80,6 +81,10 @@ class Outcome:
     same_rows: bool = False
 
 
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
 class KillCheck:
     """Runs the check.
 
@@ -99,7 +104,7 @@ class KillCheck:
         folder: Path,
         seed: int,
         prepare: Callable[[], None],
-        say: Callable[[str], None] = print,
+        say: Callable[[str], None] = _say,
     ) -> None:
         self.recipe, self.overrides, self.folder, self.prepare, self.say = recipe, overrides, folder, prepare, say
         self.random = random.Random(seed)
@@ -151,10 +156,18 @@ class KillCheck:
         process = self.context.Process(target=train_and_report, args=(list(arguments), there, log, self.prepare))
         process.start()
         there.close()
+        try:
+            return self._watch(process, here, moment)
+        finally:
+            process.kill()
+            process.join()
+
+    def _watch(self, process: Any, told: Connection, moment: Moment | None) -> str | None:
+        """Follow a sitting; kill it when its moment has come."""
         phase, since, seen = STARTING, time.monotonic(), Counter[str]()
         while True:
             try:
-                now_at = here.recv()
+                now_at = told.recv()
             except EOFError:
                 process.join()
                 return None
@@ -165,12 +178,10 @@ class KillCheck:
                 time.sleep(moment.delay)
                 process.kill()
                 process.join()
-                try:
-                    while here.poll():
-                        phase = here.recv()
-                except EOFError:
-                    pass
-                return None if process.exitcode != -signal.SIGKILL else phase
+                with suppress(EOFError):
+                    while told.poll():
+                        phase = told.recv()
+                return phase if process.exitcode == -signal.SIGKILL else None
 
     def _must_be_done(self, run: Path) -> None:
         if not (run / "summary.json").exists():
