@@ -73,7 +73,7 @@ def _read(path: Path, name: str) -> Iterator[Score]:
         data = json.loads(path.read_text(encoding="utf-8"))
         if data["driver"] != "policy":
             return
-        rows = [row for row in data["rows"] if row["metric"] == METRIC]
+        rows = [r for r in data["rows"] if r["metric"] == METRIC and r.get("method") == data.get("method")]
         many = any(row["map"] == AVERAGE for row in rows)
         for row in rows:
             if many and row["map"] != AVERAGE:

@@ -28,7 +28,7 @@ class EvaluationProgress:
 
     def __init__(self, total: int, stream: TextIO | None = None) -> None:
         self.total, self.stream = total, stream or sys.stderr
-        self.episodes = self.steps = self.collisions = self.deaths = 0
+        self.episodes = self.steps = self.collisions = self.deaths = self.before = 0
         self.start = self.shown = time.monotonic()
         self.bar: Progress | None = None
         self.task: TaskID | None = None
@@ -46,6 +46,15 @@ class EvaluationProgress:
             self.stream.write(f"evaluating: {self.total} episodes\n")
             self.stream.flush()
         return self
+
+    def begin(self, done: Sequence[Episode]) -> None:
+        """Some episodes have been driven before: they are counted, but not in the rate."""
+        self.start = self.shown = time.monotonic()
+        self.episodes = self.before = len(done)
+        self.collisions = sum(episode.ended == "collision" for episode in done)
+        if done and self.bar is None:
+            self.stream.write(f"{len(done)} of them have been driven already\n")
+            self.stream.flush()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         if self.bar is not None:
@@ -76,7 +85,7 @@ class EvaluationProgress:
     def text(self) -> str:
         """Episodes, rate, time left, collisions."""
         rate = self.steps / max(self.seconds, 1e-9)
-        left = self.seconds / max(self.episodes, 1) * (self.total - self.episodes)
+        left = self.seconds / max(self.episodes - self.before, 1) * (self.total - self.episodes)
         text = f"{self.episodes}/{self.total} episodes  {rate:.0f} steps/s  left {clock(left)}"
         text += f"  collisions {self.collisions / max(self.episodes, 1):.2f}"
         return text + (f"  workers lost {self.deaths}" if self.deaths else "")

@@ -1,4 +1,4 @@
-"""Rows for people: a table of metrics x maps that fits a terminal, and CSV."""
+"""Rows for people: tables that fit a terminal, and CSV."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from me3bev_cli.evaluation.summary import AVERAGE, Row, WeatherRow
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from me3bev_cli.evaluation.results import Results
+
 ARROWS = {"higher": "↑", "lower": "↓", "neither": " "}
 WITH_INTERVALS = 3
 """Up to this many columns every figure is shown with its interval; beyond, only the average is."""
@@ -26,6 +28,42 @@ def tables(rows: Sequence[Row]) -> list[tuple[str, Table]]:
     for row in rows:
         groups.setdefault((row.method, row.density), []).append(row)
     return [(_headline(*key, group), _map_table(group)) for key, group in groups.items()]
+
+
+MARKS = {"better": " ▲", "worse": " ▼", "other": " *", "": ""}
+"""Beside the baseline."""
+
+
+def side_by_side(results: Results) -> list[tuple[str, Table]]:
+    """A headline and a table of metrics x methods per density: over the only map, or the average over the maps.
+
+    The published figures, if there are any, have tables of their own.
+    """
+    many = len({row.map for row in results.rows}) > 1
+    place = "average over the maps" if many else results.rows[0].map
+    against = f"; ▲ better, ▼ worse than {results.comparisons[0].baseline}" if results.comparisons else ""
+    own = [(f"{place}, {d} density{against}", t) for d, t in _by_method(results.rows, many, results.verdicts)]
+    published = [(f"published, CARLA: {place}, {d} density", t) for d, t in _by_method(results.published, many, {})]
+    return own + published
+
+
+def _by_method(
+    rows: Sequence[Row], many: bool, verdicts: Mapping[tuple[str, str, str, str], str]
+) -> list[tuple[str, Table]]:
+    """(density, its table)."""
+    groups: dict[str, dict[str, dict[str, Row]]] = {}
+    for row in rows:
+        if row.map == AVERAGE or not many:
+            groups.setdefault(row.density, {}).setdefault(row.method, {})[row.metric] = row
+    found = []
+    for density, columns in groups.items():
+        marks = {
+            (method, name): MARKS[verdicts.get((method, row.map, density, name), "")]
+            for method, column in columns.items()
+            for name, row in column.items()
+        }
+        found.append((density, _table(columns, columns if len(columns) <= WITH_INTERVALS else (), marks)))
+    return found
 
 
 def weather_tables(rows: Sequence[WeatherRow]) -> list[tuple[str, Table]]:
@@ -56,8 +94,12 @@ def _map_table(rows: Sequence[Row]) -> Table:
     return _table(columns, columns if len(columns) <= WITH_INTERVALS else (AVERAGE,))
 
 
-def _table(columns: Mapping[str, Mapping[str, Row]], with_intervals: Collection[str]) -> Table:
-    """Metrics x columns; each column's rows by metric."""
+def _table(
+    columns: Mapping[str, Mapping[str, Row]],
+    with_intervals: Collection[str],
+    marks: Mapping[tuple[str, str], str] | None = None,
+) -> Table:
+    """Metrics x columns; each column's rows by metric. Marks are put behind the figures of (column, metric)."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -68,9 +110,14 @@ def _table(columns: Mapping[str, Mapping[str, Row]], with_intervals: Collection[
     for title in columns:
         table.add_column(escape(title), justify="right", no_wrap=True, style="bold" if title == AVERAGE else None)
     for name, metric in METRICS.items():
-        line = {title: column[name] for title, column in columns.items()}
-        decimals = _decimals(line.values(), metric)
-        cells = [_cell(row, decimals, title in with_intervals) for title, row in line.items()]
+        line = {title: column.get(name) for title, column in columns.items()}
+        if all(row is None for row in line.values()):
+            continue
+        decimals = _decimals([row for row in line.values() if row is not None], metric)
+        cells = [
+            _cell(row, decimals, title in with_intervals) + (marks or {}).get((title, name), "")
+            for title, row in line.items()
+        ]
         table.add_row(f"{metric.label} {ARROWS[metric.direction]}", *cells, end_section=name == PAPER[-1])
     return table
 
@@ -81,8 +128,8 @@ def _decimals(line: Iterable[Row], metric: Metric) -> int:
     return max(0, min(metric.digits, 3 - len(f"{largest:.0f}")))
 
 
-def _cell(row: Row, decimals: int, with_interval: bool) -> str:
-    if math.isnan(row.mean):
+def _cell(row: Row | None, decimals: int, with_interval: bool) -> str:
+    if row is None or math.isnan(row.mean):
         return "-"
     text = f"{row.mean:.{decimals}f}"
     if with_interval and not math.isnan(row.low):

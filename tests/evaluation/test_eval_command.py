@@ -44,8 +44,11 @@ def test_it_ends_with_a_table_and_files(recipe: Path, tmp_path: Path) -> None:
     assert "idle, high density, 3 episodes per map" in result.stdout
     assert "6/6 episodes" in result.stderr
     out = tmp_path / "runs" / "eval" / "idle-by-script" / "M1,M2-high"
-    assert sorted(path.name for path in out.iterdir()) == ["episodes", "results.csv", "results.json", "results.png"]
-    for path in out.iterdir():
+    assert sorted(path.name for path in out.iterdir()) == [
+        "episodes", "evaluation.json", "results.csv", "results.json", "results.md", "results.png", "results.tex",
+        "timing.json",
+    ]  # fmt: skip
+    for path in out.glob("results.*"):
         assert f"wrote {path}" in result.stdout
     assert (out / "results.png").read_bytes().startswith(b"\x89PNG")
     report = json.loads((out / "results.json").read_text())
@@ -55,7 +58,7 @@ def test_it_ends_with_a_table_and_files(recipe: Path, tmp_path: Path) -> None:
     assert set(report["rows"][0]) == {"method", "map", "density", "metric", "mean", "low", "high", "n"}
     assert (report["weather"], report["by_weather"]) == (["dry"], [])
     # The rows follow from the logs.
-    logs = [load(path) for path in sorted((out / "episodes").glob("M1-*.npz"))]
+    logs = [load(path) for path in sorted((out / "episodes" / "idle").glob("M1-*.npz"))]
     found = sum(measure(log)["timesteps"] for log in logs) / 3
     (row,) = [r for r in report["rows"] if (r["map"], r["metric"]) == ("M1", "timesteps")]
     assert row["mean"] == pytest.approx(found)
@@ -64,12 +67,13 @@ def test_it_ends_with_a_table_and_files(recipe: Path, tmp_path: Path) -> None:
 
 def test_the_same_seed_writes_the_same_bytes(recipe: Path, tmp_path: Path) -> None:
     options = ("--driver", "random", "--recipe", recipe, "--maps", "M1,M3", "--density", "low", "--episodes", 5)
-    for workers in (1, 2):
+    for workers in (1, 2, 4):
         result = run(*options, "--workers", workers, "--out", tmp_path / f"w{workers}")
         assert result.exit_code == 0, result.output
     for path in sorted((tmp_path / "w1").rglob("*")):
-        if path.is_file():
+        if path.is_file() and path.name != "timing.json":
             assert path.read_bytes() == (tmp_path / "w2" / path.relative_to(tmp_path / "w1")).read_bytes(), path
+            assert path.read_bytes() == (tmp_path / "w4" / path.relative_to(tmp_path / "w1")).read_bytes(), path
     assert "NaN" not in (tmp_path / "w1" / "results.json").read_text()
 
 
@@ -92,7 +96,7 @@ def test_an_untrained_policy_drives(recipe: Path) -> None:
 
 
 def results(out: Path) -> tuple[dict[str, Any], list[Episode]]:
-    return json.loads((out / "results.json").read_text()), [load(path) for path in sorted(out.glob("episodes/*.npz"))]
+    return json.loads((out / "results.json").read_text()), [load(path) for path in sorted(out.glob("episodes/*/*.npz"))]
 
 
 def test_several_kinds_of_weather_are_drawn_and_scored_apart(recipe: Path, tmp_path: Path) -> None:
@@ -140,14 +144,6 @@ def test_the_recipes_sets_are_used(recipe: Path, tmp_path: Path) -> None:
         assert results(out)[0]["weather"] == found
 
 
-def test_evaluating_again_replaces_the_logs(recipe: Path, tmp_path: Path) -> None:
-    options = ("--driver", "idle", "--recipe", recipe, "--maps", "M1", "--workers", 0, "--out", tmp_path / "out")
-    assert run(*options, "--episodes", 3).exit_code == 0
-    assert run(*options, "--episodes", 2).exit_code == 0
-    assert len(list((tmp_path / "out" / "episodes").iterdir())) == 2
-    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith(".")]
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -173,6 +169,12 @@ def test_evaluating_again_replaces_the_logs(recipe: Path, tmp_path: Path) -> Non
             "--driver idle --weather training",
             "--weather: there is no recipe that has a set for training. Give --recipe or --run, or name the weather",
         ),
+        ("--driver idle --recipe by-script.yaml --reference idel", "--reference: unknown reference driver 'idel'; did"),
+        ("--driver idle --recipe by-script.yaml --reference ,", "--reference: no name is given"),
+        ("--driver idle --recipe by-script.yaml --baseline rnadom", "--baseline: unknown method or run 'rnadom'"),
+        ("--from-logs nowhere", "nowhere: there is no such folder of logs"),
+        ("--from-logs . --driver idle", "--from-logs: logs have been driven already. Leave out --run and --driver"),
+        ("--driver idle --recipe by-script.yaml --gate gate.yaml", "gate.yaml: cannot be read: No such file"),
         ("--driver idle --recipe by-script.yaml --out .", "holds something other than an evaluation"),
         ("--driver idle --recipe by-script.yaml --out by-script.yaml", "is not a folder"),
     ],
@@ -197,7 +199,8 @@ def test_a_damaged_checkpoint(recipe: Path, tmp_path: Path) -> None:
     assert "has no checkpoint" in without.stderr
     (checkpoint / "progress.json").write_text("{}")
     (checkpoint / "policy.safetensors").write_bytes(b"\x00" * 20)
-    result = run("--maps", "M1", "--episodes", 1, "--workers", 1)
-    assert result.exit_code == 2, result.output
-    assert "policy.safetensors is damaged or truncated" in result.stderr
-    assert not (tmp_path / "runs" / "mine" / "eval").exists()
+    for more in ((), ("--overwrite",)):
+        result = run("--maps", "M1", "--episodes", 1, "--workers", 1, *more)
+        assert result.exit_code == 2, result.output
+        assert "policy.safetensors is damaged or truncated" in result.stderr
+        assert not (tmp_path / "runs" / "mine" / "eval").exists()

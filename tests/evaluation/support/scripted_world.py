@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,6 +42,7 @@ class ScriptedEnv(gymnasium.Env[dict[str, Any], Any]):
         return self._observe(), {"weather": self.weather}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        time.sleep(float(os.environ.get("SCRIPTED_SLEEP", "0")))
         self.steps += 1
         speed = float(self.np_random.uniform(4, 6) + action[1])
         self.x = min(30.0, self.x + 0.1 * speed)
@@ -49,8 +52,9 @@ class ScriptedEnv(gymnasium.Env[dict[str, Any], Any]):
             lateral_acceleration=0.0, yaw_rate=0.0, steering=float(action[0]), longitudinal=float(action[1]),
             waypoint_x=self.x + 2, waypoint_y=0.0, similarity=1.0, waypoint_distance=2.0, speed_limit=10.0,
             traffic_speed=5.0 if self.place != "M3" else float("nan"), background_speed=4.0,
-            route_done=self.x, route_length=30.0, off_route=0.0, off_road=False, collision="vehicle" if hit else "", at_fault=hit,
-            contact="front" if hit else "", red_light=False, red_met=False, stop_sign=False,
+            route_done=self.x, route_length=30.0, off_route=0.0, off_road=False,
+            collision="vehicle" if hit else "", at_fault=hit, contact="front" if hit else "",
+            red_light=False, red_met=False, stop_sign=False,
             lane_departure=False, reward=speed,
         )  # fmt: skip
         over = hit or self.x >= 30.0
