@@ -155,7 +155,8 @@ class PerceptionStage(SimulatedStage):
 
     kind: Literal["perception"]
     logs: Path | None = Field(
-        default=None, description="a folder of recorded episodes to learn from instead; they hold no depth"
+        default=None,
+        description="a folder of recorded episodes to learn from instead; some may hold no depth",
     )
     rollout: int = Field(default=256, ge=1, description="steps of each stretch; of a log, at most so many")
     every: int = Field(default=4, ge=1, description="of so many steps one frame is kept: neighbours are much the same")

@@ -6,10 +6,11 @@ No torch here: worker processes draw.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,11 @@ from me3bev_cli.errors import LogError
 from me3bev_cli.perception.truth import DepthBins, Sight, packed
 from me3bev_cli.seeding import derive_seed
 
+if TYPE_CHECKING:
+    from me3bev_cli.recording.frames import FrameLog
+
+TRUTH = ("depth", "semantics")
+"""Parts of a log from which depth and sight are told, if it has them."""
 BURST = (5, 20)
 """Steps that a disturbance of the driving lasts, and that pass before the next one, at least and at most."""
 
@@ -115,35 +121,65 @@ class FrameSource:
             disturbances = _disturbances(np.random.default_rng(seed), self.noise)
             done = False
             while not done:
-                yield lambda seen=observation: self._frame(env, seen)  # type: ignore[misc]
+                yield partial(self._frame, env, observation)
                 action = np.clip(env.unwrapped.autopilot() + next(disturbances), -1.0, 1.0).astype(np.float32)
                 observation, _, terminated, truncated, _ = env.step(action)
                 done = terminated or truncated
 
     def _frame(self, env: Any, observation: dict[str, NDArray[Any]]) -> Frame:
-        self._sight = self._sight or Sight(self.simulator.rig(self.observation))
         bev = env.unwrapped.bev_semantics()
         depth, classes = env.unwrapped.camera_truth()
-        shares = _no_depth(len(depth)) if self.depth is None else self.depth.shares(depth)
-        return observation["images"].copy(), packed(bev, self._sight(depth, classes, bev)), shares
+        return observation["images"].copy(), packed(bev, self._seen(depth, classes, bev)), self._shares(depth)
 
     def _logged(self, path: Path) -> Iterator[Make]:
-        """Logs hold no depth, so neither sight nor depth can be told."""
-        from me3bev_cli.recording.reader import read_steps
+        from me3bev_cli.recording.frames import FrameLog
 
-        wanted = (len(self.observation.cameras), 3, self.observation.height, self.observation.width)
-        for step in read_steps(path):
-            images = step.observation["images"]
-            if images.shape != wanted:
-                raise LogError(
-                    f"{path} holds images {images.shape}, the policy sees {wanted}",
-                    hint="Record with its recipe: `me3bev collect --recipe RECIPE`",
-                )
-            yield lambda images=images, bev=step.bev: (images, bev, _no_depth(len(images)))  # type: ignore[misc]
+        log = FrameLog(path, ("images", "bev"))
+        topics = [topic for part in TRUTH for topic in log.mapping.topics_of(part)]
+        if topics and all(topic in log.file.channels for topic in topics):
+            log = FrameLog(path, ("images", "bev", *TRUTH))
+        if log.cameras != self.observation.cameras:
+            raise LogError(f"the log has the cameras {_listed(log.cameras)}", where=str(path), hint=_same_recipe(self))
+        try:
+            for number in range(len(log)):
+                yield partial(self._of_log, log, number)
+        finally:
+            log.close()
+
+    def _of_log(self, log: FrameLog, number: int) -> Frame:
+        frame = log.frame(number)
+        images, bev = frame["images"], frame["bev"]
+        size = (self.observation.height, self.observation.width)
+        if images.shape[-2:] != size:
+            found = "{} x {}".format(*images.shape[-2:])
+            raise LogError(f"the images are {found}", where=str(log.path), hint=_same_recipe(self))
+        if "depth" not in frame:
+            return images, bev, self._shares(None, len(images))
+        return images, packed(bev, self._seen(frame["depth"], frame["semantics"], bev)), self._shares(frame["depth"])
+
+    def _seen(self, depth: NDArray[np.float32], classes: NDArray[np.uint8], bev: NDArray[np.uint8]) -> Any:
+        self._sight = self._sight or Sight(self.simulator.rig(self.observation))
+        return self._sight(depth, classes, bev)
+
+    def _shares(self, depth: NDArray[np.float32] | None, cameras: int = 0) -> NDArray[np.uint8]:
+        """Of nothing, where the depth is not known or is not wanted."""
+        if self.depth is None:
+            return np.zeros((cameras if depth is None else len(depth), 0, 1, 1), np.uint8)
+        if depth is None:
+            return np.zeros((cameras, len(self.depth.edges) - 1, *self.depth.size), np.uint8)
+        return self.depth.shares(depth)
 
 
-def _no_depth(cameras: int) -> NDArray[np.uint8]:
-    return np.zeros((cameras, 0, 1, 1), np.uint8)
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names)
+
+
+def _same_recipe(source: FrameSource) -> str:
+    seen = source.observation
+    return (
+        f"The policy sees {_listed(seen.cameras)}, {seen.height} x {seen.width}; `me3bev collect --recipe RECIPE` "
+        "records what a recipe's policy sees"
+    )
 
 
 def _disturbances(rng: np.random.Generator, strength: float) -> Iterator[NDArray[np.float64]]:

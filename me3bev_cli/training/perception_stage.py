@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,8 +49,8 @@ class Place:
     """Environment steps of the stage before the round."""
     begun: bool = False
     """Whether the round's own steps are in the trainer's count."""
-    oldest: int = 0
-    """The first round whose frames are in the pool."""
+    past: list[int] = field(default_factory=list)
+    """`before` of each round in the pool that is over, the oldest first."""
 
 
 class PerceptionRunner:
@@ -100,8 +100,9 @@ class PerceptionRunner:
         self.model.train()
         try:
             held_out = self._drawn(drawer, self.rounds.held_out())
-            for past in range(self.place.oldest, self.place.round):
-                self.pool.add(self._drawn(drawer, self.rounds.jobs(past, 0)))
+            first = self.place.round - len(self.place.past)
+            for number, before in enumerate(self.place.past, first):
+                self.pool.add(self._drawn(drawer, self.rounds.jobs(number, before)))
             drawer.begin(self.rounds.jobs(self.place.round, self.place.before))
             while self.place.before < stage.steps:
                 self._round(drawer, held_out)
@@ -116,7 +117,6 @@ class PerceptionRunner:
         recipe, stage = self.trainer.recipe, self.stage
         choice = recipe.simulator_in(stage)
         cls, config = configured("simulator", choice)
-        with_depth = stage.depth > 0 and stage.logs is None
         return FrameSource(
             simulator=cls(config),
             observation=recipe.observation,
@@ -124,7 +124,7 @@ class PerceptionRunner:
             weather=recipe.weather_in(stage),
             every=stage.every,
             noise=stage.noise,
-            depth=depth_bins_of(self.model.spatial, self.rig) if with_depth else None,
+            depth=depth_bins_of(self.model.spatial, self.rig) if stage.depth else None,
         )
 
     def _drawn(self, drawer: Drawer, jobs: list[Job]) -> list[Frames]:
@@ -145,7 +145,7 @@ class PerceptionRunner:
         after = place.before + steps
         drawer.begin(self.rounds.jobs(place.round + 1, after))
         self.pool.add(drawn)
-        place.oldest = place.round + 1 - len(self.pool.rounds)
+        place.past = place.past[len(place.past) + 1 - len(self.pool.rounds) :]
         if not place.begun:
             self.trainer.count(steps)
             place.begun = True
@@ -154,7 +154,7 @@ class PerceptionRunner:
         if held_out and (_passed(stage.score_every, place.before, after) or after >= stage.steps):
             row |= self._scores(held_out, learner.autocast)
         saved = _passed(stage.checkpoint_every, place.before, after)
-        self.place = Place(place.round + 1, before=after, oldest=place.oldest)
+        self.place = Place(place.round + 1, before=after, past=[*place.past, place.before])
         self.trainer.progress.updates += 1
         row |= {"learning_rate": learner.rate(after), "steps_per_second": steps / (time.monotonic() - started)}
         self.trainer.log(row)
