@@ -73,7 +73,8 @@ def _read(path: Path, name: str) -> Iterator[Score]:
         data = json.loads(path.read_text(encoding="utf-8"))
         if data["driver"] != "policy":
             return
-        rows = [r for r in data["rows"] if r["metric"] == METRIC and r.get("method") == data.get("method")]
+        # Beside the run there may be rows of other drivers.
+        rows = [r for r in data["rows"] if r["metric"] == METRIC and data.get("method") in (None, r["method"])]
         many = any(row["map"] == AVERAGE for row in rows)
         for row in rows:
             if many and row["map"] != AVERAGE:
