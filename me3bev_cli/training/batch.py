@@ -29,7 +29,11 @@ COMMAND = (sys.executable, "-m", "me3bev_cli")
 """Starts me3bev."""
 PATIENCE = 20.0
 """Seconds that runs are given to write their checkpoints before they are asked once more."""
+ENDS_WELL = (0, 130, -signal.SIGINT)
+"""Exit codes of runs that are finished, or stopped as they were asked to, even before they had begun to listen."""
 LOOK_EVERY = 0.1
+TELL_EVERY = 60.0
+"""Seconds between two words on runs that train beside each other and show nothing themselves."""
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -109,6 +113,7 @@ class Batch:
         self.threads = threads
         self.busy: dict[int, tuple[Path, subprocess.Popen[bytes]]] = {}
         self.failed: list[Path] = []
+        self.told = time.monotonic()
 
     def train(self, stop: Stop) -> list[Path]:
         """Train every run to its end, or until a stop is asked for; returns those that failed.
@@ -124,6 +129,7 @@ class Batch:
                 if stop.asked:
                     self._interrupt()
                 self._look()
+                self._tell()
                 time.sleep(LOOK_EVERY)
         finally:
             for _, process in self.busy.values():
@@ -160,11 +166,22 @@ class Batch:
             if code is None:
                 continue
             del self.busy[slot]
-            if code not in (0, 130):
+            well = code in ENDS_WELL
+            if not well:
                 self.failed.append(run)
             entry = describe(run)
-            reason = "" if code in (0, 130) else f" with exit code {code}"
+            reason = "" if well else f" with exit code {code}"
             say(f"{run}: {'failed' if reason else entry.state}{reason} at step {entry.steps:,} of {entry.total:,}")
+
+    def _tell(self) -> None:
+        """Now and then, how far the runs are; one that is alone shows it itself."""
+        if self.alone or time.monotonic() - self.told < TELL_EVERY:
+            return
+        self.told = time.monotonic()
+        for run, _ in self.busy.values():
+            entry = describe(run)
+            reward = "" if entry.reward_per_step is None else f", reward/step {entry.reward_per_step:.2f}"
+            say(f"{run}: stage {entry.stage}, step {entry.steps:,} of {entry.total:,}{reward}")
 
     def _interrupt(self) -> None:
         """Ask every run to stop, once more when they take long; then no longer ask."""

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -130,13 +131,16 @@ def test_ctrl_c_stops_all(stand_in: None, line_recipe: Path, tmp_path: Path, mon
 
     def press() -> None:
         while not all((out / f"line-seed{k}" / "waiting").exists() for k in range(2)):
-            pass
+            time.sleep(0.05)
+        time.sleep(0.3)
         os.kill(os.getpid(), signal.SIGINT)
 
+    monkeypatch.setattr(batch, "TELL_EVERY", 0.0)
     threading.Thread(target=press, daemon=True).start()
     result = train(line_recipe, "--seeds", "0,1,2", "--parallel", "2", "--out", out)
     assert result.exit_code == 130
     assert "the same command goes on" in result.stderr
+    assert f"{out / 'line-seed0'}: stage 1/1 ppo, step 96 of 192, reward/step 1.50" in result.stderr
     assert all((out / f"line-seed{k}" / "stopped").exists() for k in range(2))
     assert state_of(out / "line-seed2") == "new"
 
