@@ -29,7 +29,7 @@ WORKER = 300_000_000
 """Bytes of a worker process with its environment."""
 BEV_MAP = 200 * 200
 """Bytes of a map that is learned from."""
-GRADIENTS = 1.2
+GRADIENTS = 1.25
 """The backward pass holds gradients of a few activations beside those that it keeps."""
 PER_STEP = 8 * 4 + 2
 """Bytes of a step beside its observation: two actions and six numbers that SB3 keeps, and flags."""

@@ -12,6 +12,7 @@ from me3bev_cli.pipeline.assemble import build_network
 from me3bev_cli.pipeline.network import Network
 from me3bev_cli.recipe import Recipe
 from me3bev_cli.recipe_loading import resolve_recipe
+from me3bev_cli.recipe_stages import ImitationStage, PerceptionStage
 from me3bev_cli.stopping import Stop
 from me3bev_cli.training import trainer
 from me3bev_cli.training.display import Display
@@ -92,12 +93,16 @@ def test_a_gpu_is_asked_for_its_own_part(line_recipe: Path) -> None:
 
 
 def test_imitation_and_perception_count_their_pools(line_recipe: Path) -> None:
-    same = "envs: 2, workers: 1, rollout: 16, minibatch: 16, pool: 512"
-    stages = f"[{{kind: imitation, steps: 64, segment: 8, {same}}}, {{kind: perception, steps: 64, {same}}}]"
-    recipe, network = made(line_recipe, f"stages={stages}")
-    for stage in recipe.stages:
-        kept = measure_kept(network, recipe, stage)
-        assert stage_need(network, recipe, stage, CPU, kept).host["a pool of 512 frames"] >= 512 * IMAGES
+    recipe, network = made(line_recipe)
+    same = {"envs": 2, "workers": 1, "rollout": 16, "minibatch": 16, "pool": 512}
+    imitation = ImitationStage(kind="imitation", steps=64, segment=8, **same)
+    perception = PerceptionStage(kind="perception", steps=64, held_out=10, **same)
+    kept = measure_kept(network, recipe, imitation)
+    # No more frames are kept than the stage has steps.
+    held = stage_need(network, recipe, imitation, CPU, kept).host["a pool of 512 frames"]
+    assert held == 64 * (IMAGES + VECTORS + STEP)
+    held = stage_need(network, recipe, perception, CPU, kept).host["a pool of 512 frames"]
+    assert held == (512 + 10) * (IMAGES + 200 * 200 + STEP)
 
 
 def test_training_asks_before_it_begins(line_recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
