@@ -162,7 +162,7 @@ def _from_logs(
     if recovered.lost:
         typer.echo(f"me3bev: the figures rest on the other {len(recovered.episodes)} episodes", err=True)
     methods = list(dict.fromkeys(episode.driver for episode in recovered.episodes))
-    return Outcome(recovered.setup, results), recovered.out, methods
+    return Outcome(recovered.setup, results, recovered.snapshot), recovered.out, methods
 
 
 def _copies(outcome: Outcome, json: str | None, copies: dict[str, Path | None]) -> list[Path]:

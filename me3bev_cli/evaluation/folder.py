@@ -5,6 +5,7 @@ OUT/
     episodes/METHOD/  one log per episode, each written when it is finished: metrics can be computed from them again
     results.json      what was evaluated, how each metric is defined, the rows; comparisons and published rows if asked
     results.csv, .md, .tex, .png
+    snapshot.npz      what the cameras saw at one instant of the first episode
     timing.json       where the time went, per sitting; all other files are the same whenever they are made
 """
 
@@ -24,6 +25,7 @@ from me3bev_cli.files import atomic_write_text
 
 JSON, CSV, PICTURE, EPISODES = "results.json", "results.csv", "results.png", "episodes"
 MARKDOWN, LATEX, MANIFEST, TIMING = "results.md", "results.tex", "evaluation.json", "timing.json"
+SNAPSHOT = "snapshot.npz"
 FORMAT = 1
 """Of the manifest."""
 ADVICE = "Choose another --out, or --overwrite begins anew"
@@ -114,7 +116,7 @@ def clear(out: Path) -> None:
     """Remove what evaluations write, and nothing else."""
     try:
         shutil.rmtree(out / EPISODES, ignore_errors=True)
-        for name in (JSON, CSV, PICTURE, MARKDOWN, LATEX, MANIFEST, TIMING):
+        for name in (JSON, CSV, PICTURE, MARKDOWN, LATEX, MANIFEST, TIMING, SNAPSHOT):
             (out / name).unlink(missing_ok=True)
     except OSError as error:
         raise UserError(f"cannot be removed: {error.strerror}", where=str(out)) from error

@@ -13,9 +13,9 @@ from me3bev_cli.evaluation.compare import compare
 from me3bev_cli.evaluation.episode import Episode
 from me3bev_cli.evaluation.latex import latex_text
 from me3bev_cli.evaluation.markdown import markdown_text
-from me3bev_cli.evaluation.player import Snapshot
 from me3bev_cli.evaluation.published import published_rows
 from me3bev_cli.evaluation.results import Results, document
+from me3bev_cli.evaluation.snapshot import Snapshot
 from me3bev_cli.evaluation.summary import by_weather, rows_of, score
 from me3bev_cli.evaluation.tables import csv_text
 from me3bev_cli.files import atomic_write_bytes, atomic_write_text

@@ -14,7 +14,7 @@ from me3bev_cli.pictures import CAMERA_COLUMNS, colour_map, tile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from me3bev_cli.evaluation.player import Snapshot
+    from me3bev_cli.evaluation.snapshot import Snapshot
 
 SHOWN = (*PAPER, "route_completion")
 COLOURS = ("#2f6fb5", "#d9822b", "#4c9a5b", "#8c5fa8")

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from me3bev_cli.evaluation.crew import Crew, make_crew, row_of
 from me3bev_cli.evaluation.drivers import DriverSpec
 from me3bev_cli.evaluation.episode import Episode, ending, from_records
 from me3bev_cli.evaluation.runner import World, episode_seed, weather_of
+from me3bev_cli.evaluation.snapshot import Snapshot
 from me3bev_cli.evaluation.timing import Timing
 
 if TYPE_CHECKING:
@@ -47,21 +47,6 @@ class Job(NamedTuple):
     indices: tuple[int, ...]
     snapshot: int | None = None
     """Index of an episode to look into."""
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """One instant as it was seen."""
-
-    map: str
-    density: str
-    weather: str
-    step: int
-    cameras: tuple[str, ...]
-    images: NDArray[np.uint8]
-    """(C, 3, H, W)."""
-    bev: NDArray[np.uint8]
-    """(X, Y), classes as `api.BEV_CLASSES`."""
 
 
 class Played(NamedTuple):

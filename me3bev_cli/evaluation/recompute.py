@@ -14,6 +14,7 @@ from me3bev_cli.evaluation import folder
 from me3bev_cli.evaluation.episode import Episode
 from me3bev_cli.evaluation.folder import Manifest, read_manifest
 from me3bev_cli.evaluation.logs import read_folders
+from me3bev_cli.evaluation.snapshot import Snapshot, load_snapshot
 from me3bev_cli.training.run import versions
 
 FIGURES = ("interval", "metrics", "rows", "by_weather", "baseline", "comparisons", "published", "lost")
@@ -27,6 +28,7 @@ class Recovered:
     setup: dict[str, Any]
     episodes: Sequence[Episode]
     lost: Sequence[str]
+    snapshot: Snapshot | None
     out: Path | None
     """Where the results belong: the evaluation that the logs are of; None for logs from elsewhere."""
 
@@ -54,7 +56,7 @@ def recover(folders: Sequence[Path], out: Path | None, overwrite: bool) -> Recov
         "weather": sorted(_names(episodes, "weather")),
         "methods": [{"method": name} for name in _names(episodes, "driver")],
     }
-    return Recovered(setup, episodes, found.lost, out)
+    return Recovered(setup, episodes, found.lost, None, out)
 
 
 def _evaluation(place: Path, out: Path | None) -> Recovered:
@@ -74,7 +76,7 @@ def _evaluation(place: Path, out: Path | None) -> Recovered:
     if missing > 0:
         lost.append(f"{missing} episode{'s are' if missing > 1 else ' is'} missing in {place}")
     episodes = _ordered(wanted, labels, manifest.densities, manifest.maps)
-    return Recovered(_setup(place, manifest), episodes, lost, out or place)
+    return Recovered(_setup(place, manifest), episodes, lost, load_snapshot(place / folder.SNAPSHOT), out or place)
 
 
 def _setup(place: Path, manifest: Manifest) -> dict[str, Any]:

@@ -19,10 +19,11 @@ from me3bev_cli.evaluation.logs import kept
 from me3bev_cli.evaluation.maps import shorten
 from me3bev_cli.evaluation.methods import Asked, Chosen, choose
 from me3bev_cli.evaluation.plan import Visit, jobs_for, look_into, visits
-from me3bev_cli.evaluation.player import Method, Played, Player, Snapshot
+from me3bev_cli.evaluation.player import Method, Played, Player
 from me3bev_cli.evaluation.progress import EvaluationProgress
 from me3bev_cli.evaluation.references import ReferenceLogs, reference_logs
 from me3bev_cli.evaluation.runner import episode_seed
+from me3bev_cli.evaluation.snapshot import Snapshot, load_snapshot
 from me3bev_cli.evaluation.timing import Timing, note, pace
 from me3bev_cli.parallel import run_jobs
 from me3bev_cli.training.run import runs_root, versions
@@ -147,6 +148,7 @@ class Driven:
     episodes: Sequence[Episode]
     """Method by method and cell by cell."""
     snapshot: Snapshot | None
+    """Of the first episode."""
     notes: Sequence[str]
     """What the user should know: logs that had to be driven again."""
     pace: str
@@ -168,14 +170,14 @@ def drive(evaluation: Evaluation, workers: int, progress: EvaluationProgress) ->
     progress.begin(list(done.values()))
     player = Player(evaluation.methods, evaluation.seed, evaluation.out / folder.EPISODES)
     jobs = jobs_for(evaluation.visits, done, workers)
-    snapshots: list[Snapshot] = []
+    picture = evaluation.out / folder.SNAPSHOT
     timing = Timing()
     shared = _shared(evaluation)
 
     def take(number: int, played: Played) -> None:
         timing.add(played.timing)
         if played.snapshot is not None:
-            snapshots.append(played.snapshot)
+            played.snapshot.save(picture)
         for episode in played.episodes:
             method = everything[number].method
             done[Visit(method, episode.map, episode.density, episode.index)] = episode
@@ -184,7 +186,7 @@ def drive(evaluation: Evaluation, workers: int, progress: EvaluationProgress) ->
                 cache.keep(episode)
         progress.add(played.episodes)
 
-    everything = [look_into(evaluation.visits[0]), *jobs]
+    everything = jobs if load_snapshot(picture) else [look_into(evaluation.visits[0]), *jobs]
     try:
         run_jobs(player, everything, workers, take, progress.died)
     except UserError:
@@ -194,7 +196,7 @@ def drive(evaluation: Evaluation, workers: int, progress: EvaluationProgress) ->
         if timing.steps:
             note(evaluation.out / folder.TIMING, timing, progress.seconds, workers)
     episodes = [done[visit] for visit in evaluation.visits]
-    return Driven(episodes, snapshots[0], notes, pace(timing, progress.seconds, workers))
+    return Driven(episodes, load_snapshot(picture), notes, pace(timing, progress.seconds, workers))
 
 
 def _shared(evaluation: Evaluation) -> list[ReferenceLogs | None]:

@@ -46,7 +46,7 @@ def test_it_ends_with_a_table_and_files(recipe: Path, tmp_path: Path) -> None:
     out = tmp_path / "runs" / "eval" / "idle-by-script" / "M1,M2-high"
     assert sorted(path.name for path in out.iterdir()) == [
         "episodes", "evaluation.json", "results.csv", "results.json", "results.md", "results.png", "results.tex",
-        "timing.json",
+        "snapshot.npz", "timing.json",
     ]  # fmt: skip
     for path in out.glob("results.*"):
         assert f"wrote {path}" in result.stdout

@@ -16,6 +16,7 @@ def episode(
     density: str = "low",
     driver: str = "me",
     weather: str = "dry",
+    seed: int = 1,
     **columns: Any,
 ) -> Episode:
     """An uneventful drive at 5 m/s along a route of 100 m, with the given columns instead."""
@@ -27,4 +28,4 @@ def episode(
     steps["route_done"] = 0.5 * np.arange(1, length + 1)
     for name, values in columns.items():
         steps[name] = values
-    return Episode(map, density, weather, 1, 0, driver, ended, steps)
+    return Episode(map, density, weather, seed, 0, driver, ended, steps)
