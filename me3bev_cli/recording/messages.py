@@ -6,6 +6,7 @@ Frames: `map` (world), `ego` (x forward, y left, on the ground), `camera_NAME` (
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -31,10 +32,15 @@ def stamp(nanoseconds: int) -> Timestamp:
     return Timestamp(seconds=nanoseconds // NANOSECONDS, nanos=nanoseconds % NANOSECONDS)
 
 
+@lru_cache(maxsize=8)
+def _room(height: int, width: int) -> NDArray[np.uint8]:
+    return np.empty((height, width, 3), np.uint8)
+
+
 def image_message(image: NDArray[np.uint8], camera: str, time: int, quality: int) -> CompressedImage:
     """An RGB image (3, H, W) as JPEG of the given quality, or as lossless PNG when `quality` is 0."""
-    # Channel by channel: many times faster than turning the array over.
-    bgr = cv2.merge((image[2], image[1], image[0]))
+    # Channel by channel: many times faster than turning the array over. And always into the same memory.
+    bgr = cv2.merge((image[2], image[1], image[0]), _room(*image.shape[1:]))
     suffix, options = ("png", _PNG) if quality == 0 else ("jpeg", (cv2.IMWRITE_JPEG_QUALITY, quality))
     ok, data = cv2.imencode(f".{suffix}", bgr, options)
     if not ok:
