@@ -35,6 +35,8 @@ class Recovery(NamedTuple):
     """Called with what happened, before a worker is started again."""
     silence: float | None
     """Seconds without an answer after which a worker is taken for hung; None: it is waited for without end."""
+    check: Callable[[], None] | None = None
+    """Called a few times a second while a worker is silent; may raise to give up, which closes the environments."""
 
 
 class _HungError(Exception):
@@ -173,6 +175,7 @@ class EnvironmentWorkers:
 
     def _answer(self, number: int, check: Callable[[], None] | None, patience: float) -> Any:
         silence = None if self.recovery is None else self.recovery.silence
+        check = check or (None if self.recovery is None else self.recovery.check)
         if silence is not None or check is not None:
             end = None if silence is None else time.monotonic() + patience * silence
             connection = self.workers[number].connection

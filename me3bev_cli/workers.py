@@ -107,7 +107,7 @@ def stop_workers(workers: Iterable[Worker], at_once: bool) -> None:
         if at_once:
             worker.process.terminate()
     for worker in workers:
-        worker.process.join(5)
+        worker.process.join(1 if at_once else 5)
         if worker.process.is_alive():
             worker.process.kill()
             worker.process.join()

@@ -29,6 +29,7 @@ def make_environments(
     first_episode: int = 0,
     around: Wrapping | None = None,
     told: Callable[[str], None] = _to_stderr,
+    check: Callable[[], None] | None = None,
 ) -> ReplayedEnvs:
     """The stage's environments: in worker processes, or one after another in this one when there is one worker.
 
@@ -38,6 +39,7 @@ def make_environments(
         first_episode: index of the first episode to play: a run that goes on does not repeat what it has seen.
         around: wraps each environment, in the process in which it lives; can be pickled.
         told: called with a sentence when a worker has died or hangs and is started again.
+        check: called a few times a second while a worker is silent; may raise to give up.
     """
     choice = recipe.simulator_in(stage)
     cls, config = configured("simulator", choice)
@@ -60,4 +62,4 @@ def make_environments(
     ]
     workers = min(stage.envs, stage.workers or cores())
     envs = ParallelEnvs(makers, workers) if workers > 1 else DummyVecEnv(list(makers))
-    return ReplayedEnvs(envs, [maker.first for maker in makers], stage.envs, told, stage.worker_timeout)
+    return ReplayedEnvs(envs, [maker.first for maker in makers], stage.envs, told, stage.worker_timeout, check)

@@ -30,6 +30,7 @@ from me3bev_cli.perception.scoring import shown_scores, tally
 from me3bev_cli.perception.truth import classes_of, mirrored_cameras
 from me3bev_cli.pipeline.assemble import configured, recipe_rig
 from me3bev_cli.seeding import derive_seed
+from me3bev_cli.training.alarms import guard_gradients
 from me3bev_cli.training.trainer import InterruptedTrainingError
 from me3bev_cli.workers import cores
 
@@ -124,6 +125,7 @@ class PerceptionRunner:
             weather=recipe.weather_in(stage),
             every=stage.every,
             noise=stage.noise,
+            roam=stage.roam,
             depth=depth_bins_of(self.model.spatial, self.rig) if stage.depth else None,
         )
 
@@ -135,6 +137,7 @@ class PerceptionRunner:
         spatial = self.trainer.network.spatial
         self.trainer.network.freeze([spatial] if spatial is not None and "spatial" in self.stage.freeze else [])
         self.learner = Learner(self.model, self.stage, class_weights)
+        guard_gradients(self.learner.optimizer, self.model, self.trainer.run)
         return self.learner
 
     def _round(self, drawer: Drawer, held_out: list[Frames]) -> None:
@@ -149,7 +152,9 @@ class PerceptionRunner:
         if not place.begun:
             self.trainer.count(steps)
             place.begun = True
-        learner = self.learner or self._make_learner(balanced_weights(_class_counts(drawn), stage.balance))
+        learner = self.learner or self._make_learner(
+            balanced_weights(_class_counts([*drawn, *held_out]), stage.balance)
+        )
         row: dict[str, float | None] = {**self._learn(learner, drawer, drawn, steps)}
         if held_out and (_passed(stage.score_every, place.before, after) or after >= stage.steps):
             row |= self._scores(held_out, learner.autocast)

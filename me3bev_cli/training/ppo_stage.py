@@ -46,7 +46,9 @@ class PpoRunner:
         remaining = stage.steps - trainer.progress.stage_steps
         if remaining <= 0:
             return
-        env = make_environments(trainer.recipe, stage, told=lambda text: trainer.warn(WORKER, text))
+        env = make_environments(
+            trainer.recipe, stage, told=lambda text: trainer.warn(WORKER, text), check=self._check_stop
+        )
         end = guard_outputs(trainer.network, trainer.run)
         try:
             model = self._model(env)

@@ -33,6 +33,7 @@ class ReplayedEnvs(VecEnvWrapper):
         stride: from there to the next one.
         told: called with a sentence when a worker is started again.
         silence: seconds without an answer after which a worker is taken for hung; None: never.
+        check: called a few times a second while a worker is silent; may raise to give up.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class ReplayedEnvs(VecEnvWrapper):
         stride: int,
         told: Callable[[str], None],
         silence: float | None = None,
+        check: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(venv)
         self.stride = stride
@@ -50,7 +52,7 @@ class ReplayedEnvs(VecEnvWrapper):
         self._actions: list[list[NDArray[Any]] | None] = [None] * venv.num_envs
         self._asked: NDArray[Any] = np.zeros(0)
         if isinstance(venv, ParallelEnvs):
-            venv.recover_with(Recovery(self.plays, told, silence))
+            venv.recover_with(Recovery(self.plays, told, silence, check))
 
     def plays(self) -> list[Play]:
         """Where each environment stands."""

@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from me3bev_cli.api import ObservationConfig
 from me3bev_cli.environment_host import Play, play_again
+from me3bev_cli.environment_workers import Recovery
 from me3bev_cli.parallel_envs import ParallelEnvs
 from me3bev_cli.training.episodes import EpisodeMaker
 from me3bev_cli.training.replay import ReplayedEnvs
@@ -119,6 +120,19 @@ def test_a_worker_that_dies_over_and_over_is_given_up() -> None:
     with pytest.raises(WorkerDiedError, match=r"process 2 of 2 \(environments 1 to 2\) died: killed by SIGKILL"):
         envs.step(deadly)
     assert len(told) == 3
+
+
+def test_waiting_for_a_hung_worker_can_be_given_up() -> None:
+    def no_more() -> None:
+        raise InterruptedError
+
+    envs = ParallelEnvs([MakeSeededNoise(i) for i in range(3)], 2)
+    replayed = ReplayedEnvs(envs, [0, 1, 2], 3, lambda _: None)
+    replayed.reset()
+    envs.recover_with(Recovery(replayed.plays, lambda _: None, None, no_more))
+    os.kill(worker_of_the_last(replayed), signal.SIGSTOP)
+    with pytest.raises(InterruptedError):
+        replayed.step(actions(0))
 
 
 def test_a_town_comes_back_in_a_fresh_environment() -> None:
