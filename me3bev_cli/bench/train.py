@@ -20,8 +20,11 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from me3bev_cli.bench.train_contestants import Contest, Quiet, collect, fill_stacked
 from me3bev_cli.bench.train_stacked import StackedFrames
+from me3bev_cli.errors import MemoryShortError
 from me3bev_cli.pipeline.assemble import build_network
 from me3bev_cli.recipe import Recipe
+from me3bev_cli.training.memory_limits import available_on
+from me3bev_cli.training.memory_need import GRADIENTS, measure_kept
 from me3bev_cli.training.rollout import SequenceRolloutBuffer
 
 OURS, PLAIN, OURS_FROZEN, PLAIN_FROZEN = "ours", "plain_sb3", "ours_frozen", "plain_sb3_frozen"
@@ -41,8 +44,12 @@ def measure(recipe: Recipe, *, samples: int, rounds: int, steps: int, progress: 
         samples: of a minibatch.
         rounds: turns that each takes.
         steps: of collection per environment.
+
+    Raises:
+        MemoryShortError: plain SB3 could not learn from so many samples at once here.
     """
     contest = Contest(recipe, samples)
+    check_stacks_fit(contest)
     memory = rollout_bytes(contest)
     collected = []
     for number, count in enumerate(ENVIRONMENTS):
@@ -57,6 +64,25 @@ def measure(recipe: Recipe, *, samples: int, rounds: int, steps: int, progress: 
                 times[name].append(_turn(contest, model))
         progress("updates", 1, 1)
     return _report(contest, times, memory, collected)
+
+
+def check_stacks_fit(contest: Contest) -> None:
+    """Refuse what would be killed: plain SB3 encodes every frame of every sample at once.
+
+    Raises:
+        MemoryShortError: with the numbers.
+    """
+    network = build_network(contest.recipe, contest.recipe.seed).to(contest.device)
+    frames = contest.samples * contest.length
+    at_once = min(frames, contest.stage.microbatch or frames)
+    need = GRADIENTS * at_once * measure_kept(network, contest.recipe, contest.stage).image
+    free = available_on(contest.device)
+    if free is not None and need > free:
+        raise MemoryShortError(
+            f"plain SB3 would need {need / 1e9:.1f} GB for {contest.samples} samples of {contest.length} frames and "
+            f"{free / 1e9:.1f} GB are free",
+            hint="Give the stage a `microbatch`, which both use, or fewer --samples",
+        )
 
 
 def _turn(contest: Contest, model: PPO) -> float:

@@ -14,7 +14,7 @@ from me3bev_cli.bench import train
 from me3bev_cli.bench.train import OURS, OURS_FROZEN, PLAIN, PLAIN_FROZEN, rollout_bytes
 from me3bev_cli.bench.train_contestants import Contest
 from me3bev_cli.bench.train_stacked import StackedFrames
-from me3bev_cli.errors import UserError
+from me3bev_cli.errors import MemoryShortError, UserError
 from me3bev_cli.main import app
 from me3bev_cli.pipeline.policy import STARTS
 from me3bev_cli.recipe_loading import resolve_recipe
@@ -102,6 +102,13 @@ def test_stacks_hold_the_last_frames_of_their_own_episode(line_recipe: Path) -> 
 def test_recipes_without_a_window_of_images_are_refused(line_recipe: Path, overrides: list[str]) -> None:
     with pytest.raises(UserError, match="window of images"):
         Contest(resolve_recipe(line_recipe, overrides), 8)
+
+
+def test_stacks_that_cannot_fit_are_refused(line_recipe: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train, "available_on", lambda _: 300_000)
+    with pytest.raises(MemoryShortError, match="8 samples of 4 frames"):
+        train.check_stacks_fit(Contest(resolve_recipe(line_recipe, []), 8))
+    train.check_stacks_fit(Contest(resolve_recipe(line_recipe, ["stages.0.microbatch=4"]), 8))
 
 
 def test_a_recipe_needs_a_ppo_stage(line_recipe: Path) -> None:
