@@ -250,7 +250,7 @@ def test_training_environments_are_the_same_in_one_process_and_in_two(line_recip
     for workers in (1, 2):
         recipe = resolve_recipe(line_recipe, [f"stages.0.workers={workers}"])
         envs = make_environments(recipe, recipe.stages[0], first_episode=5)
-        assert isinstance(envs, ParallelEnvs) == (workers == 2)
+        assert isinstance(envs.venv, ParallelEnvs) == (workers == 2)
         try:
             logs.append(history(envs, 30))
         finally:
