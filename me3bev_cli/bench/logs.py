@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from me3bev_cli.errors import UserError
 from me3bev_cli.output import write_json
 from me3bev_cli.workers import THREAD_VARIABLES
 
@@ -40,41 +41,32 @@ def timed(times: Times, name: str, call: Callable[[], int]) -> None:
     times.setdefault(name, []).append((time.process_time() - clock, time.perf_counter() - wall, count))
 
 
-def measure(
-    simulator: str, place: str, density: str, rounds: int, folder: Path, observation: Any = None
-) -> dict[str, Any]:
+def measure(recorder: Any, place: str, density: str, rounds: int) -> dict[str, Any]:
     """All figures.
 
     Args:
+        recorder: a `recording.collect.Recorder` into an empty folder: the world, who drives, what is recorded.
         rounds: episodes, each of which is driven twice.
-        folder: for the logs.
-        observation: an `ObservationConfig`; by default the paper's cameras.
     """
     import cv2
     import torch
 
-    from me3bev_cli.api import ObservationConfig
-    from me3bev_cli.evaluation.drivers import DriverSpec
-    from me3bev_cli.evaluation.runner import World
-    from me3bev_cli.recipe import PluginChoice
-    from me3bev_cli.recording.collect import Recorder, Take
+    from me3bev_cli.recording.collect import Take
 
     cv2.setNumThreads(1)
     torch.set_num_threads(1)
-    world = World(PluginChoice(name=simulator), observation or ObservationConfig())
-    recorder = Recorder(world, DriverSpec("autopilot", "autopilot"), 0, folder)
     times: Times = {}
     drive(recorder, Take(place, density, rounds), {})
     recorder(Take(place, density, rounds))
-    Take(place, density, rounds).path(folder).unlink()
+    Take(place, density, rounds).path(recorder.folder).unlink()
     for number in range(rounds):
         take = Take(place, density, number)
         drive(recorder, take, times)
         timed(times, "collect", lambda take=take: recorder(take))  # type: ignore[misc]
-        read(take.path(folder), number, times)
+        read(take.path(recorder.folder), number, times)
     recorder.close()
-    size = sum(path.stat().st_size for path in folder.glob("*.mcap"))
-    return _figures(times, size / sum(count for *_, count in times["collect"]), world.observation)
+    size = sum(path.stat().st_size for path in recorder.folder.glob("*.mcap"))
+    return _figures(times, size / sum(count for *_, count in times["collect"]), recorder)
 
 
 def drive(recorder: Any, take: Any, times: Times) -> None:
@@ -135,7 +127,7 @@ def read(path: Path, seed: int, times: Times) -> None:
         timed(times, "random", seek)
 
 
-def _figures(times: Times, bytes_per_step: float, observation: Any) -> dict[str, Any]:
+def _figures(times: Times, bytes_per_step: float, recorder: Any) -> dict[str, Any]:
     from me3bev_cli.bench.machine import machine
 
     def rate(name: str, clock: int) -> float:
@@ -145,6 +137,7 @@ def _figures(times: Times, bytes_per_step: float, observation: Any) -> dict[str,
         (plain[0] / plain[2]) / (logged[0] / logged[2])
         for plain, logged in zip(times["environment"], times["collect"], strict=True)
     ]
+    observation = recorder.world.observation
     seeks = np.array([turn[1] for turn in times["random"]])
     return {
         "environment_steps_per_s": rate("environment", 0),
@@ -162,6 +155,7 @@ def _figures(times: Times, bytes_per_step: float, observation: Any) -> dict[str,
         "random_p95_ms": 1e3 * float(np.quantile(seeks, 0.95)),
         "targets": TARGETS,
         "setup": {
+            "driver": recorder.spec.label,
             "rounds": len(times["collect"]),
             "cameras": len(observation.cameras),
             "height": observation.height,
@@ -192,7 +186,8 @@ def report(figures: Mapping[str, Any]) -> str:
     """The figures as text, beside what is wanted."""
     setup = figures["setup"]
     lines = [
-        f"{setup['cameras']} JPEG images of {setup['height']} x {setup['width']}, {setup['rounds']} episodes",
+        f"{setup['cameras']} JPEG images of {setup['height']} x {setup['width']}; {setup['rounds']} episodes, driver: "
+        f"{setup['driver']}",
         f"one thread of {setup['machine']['processor']}, load {setup['machine']['load']}; per second of processor time",
         "",
     ]
@@ -209,9 +204,24 @@ def _in_process(arguments: Sequence[str]) -> dict[str, Any]:
         path = Path(folder) / "result.json"
         command = [sys.executable, "-m", "me3bev_cli.bench.logs", *arguments, "--here", "--json", str(path)]
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
-        subprocess.run(command, env=environment, check=True)
+        done = subprocess.run(command, env=environment, check=False)
+        if done.returncode:
+            raise SystemExit(done.returncode)
         found: dict[str, Any] = json.loads(path.read_text())
     return found
+
+
+def _measured(given: argparse.Namespace) -> dict[str, Any]:
+    """The figures, from the options. Raises UserError for what is not there."""
+    from me3bev_cli.evaluation.choice import choose_cells, choose_driver, reference_or_run
+    from me3bev_cli.recording.collect import Recorder
+
+    name, run = reference_or_run(given.driver)
+    spec, recipe = choose_driver(run, "last", name, given.recipe, "cpu")
+    cells = choose_cells(recipe, given.map, given.density, None, "training")
+    with tempfile.TemporaryDirectory() as folder:
+        recorder = Recorder(cells.world, spec, 0, Path(folder))
+        return measure(recorder, cells.maps[0], cells.densities[0], given.rounds)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -220,18 +230,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m me3bev_cli.bench.logs", description=(__doc__ or "").splitlines()[0]
     )
     parser.add_argument("--json", metavar="FILE", help="write the figures here, - for stdout")
-    parser.add_argument("--simulator", default="highway", help="simulator plugin (default: %(default)s)")
+    parser.add_argument(
+        "--driver", default="autopilot", help="autopilot, idle, untrained or a run (default: %(default)s)"
+    )
+    parser.add_argument("--recipe", help="observation and world of a driver that is no run")
     parser.add_argument("--map", default="T3", help="(default: %(default)s)")
     parser.add_argument("--density", default="low", help="(default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=8, help="episodes (default: %(default)s)")
     parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args(arguments)
-    if given.here:
-        with tempfile.TemporaryDirectory() as folder:
-            figures = measure(given.simulator, given.map, given.density, given.rounds, Path(folder))
-    else:
-        words = ("--simulator", given.simulator, "--map", given.map, "--density", given.density)
-        figures = _in_process([*words, "--rounds", str(given.rounds)])
+    try:
+        figures = _measured(given) if given.here else _in_process(arguments or sys.argv[1:])
+    except UserError as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 2
     if given.json is not None:
         write_json(figures, given.json)
     if not given.here:
