@@ -44,6 +44,7 @@ from me3bev_cli.api.simulator import (
     MapLibrary,
     SimulatorPlugin,
     StepRecord,
+    View,
 )
 
 __all__ = [
@@ -75,6 +76,7 @@ __all__ = [
     "StepRecord",
     "TemporalPlugin",
     "TokenSpec",
+    "View",
     "need_weights",
     "weights_follow",
 ]

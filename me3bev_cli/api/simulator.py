@@ -106,6 +106,19 @@ class Actors(NamedTuple):
     """(A,) m/s along the heading."""
 
 
+class View(NamedTuple):
+    """What the cameras see from one place, and the truth of it."""
+
+    images: Any
+    """(C, 3, H, W) uint8"""
+    depth: Any
+    """(C, H, W) float32, metres along the optical axis, inf where nothing is."""
+    classes: Any
+    """(C, H, W) uint8, as `BEV_CLASSES`."""
+    bev: Any
+    """(200, 200) uint8, as `bev_semantics()`."""
+
+
 class MapEntry(NamedTuple):
     """One map of a simulator, as `me3bev maps list` shows it."""
 
@@ -197,6 +210,8 @@ class SimulatorPlugin(Protocol):
         optical axis, inf where nothing is, and the class as `BEV_CLASSES`, and
         `plan_view(size) -> (size, size, 3) uint8`, the surroundings from above with the route, for people.
         It may have `actors() -> Actors`, the others now, and `route_line() -> (P, 3)`, the route's centre line,
-        world frame, metres: logs keep them for viewers.
+        world frame, metres: logs keep them for viewers. And it may have `look_from(ahead, left, turn) -> View`, what
+        would be seen from another place on the ground, metres from the ego and radians to its left, whether or not
+        observations hold images: perception learned from the ego's own lane alone knows no other town's roads.
         """
         ...

@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from me3bev_cli.api import ObservationConfig
+from me3bev_cli.api import BEV_CLASSES, ObservationConfig, View
 from me3bev_cli.errors import LogError
-from me3bev_cli.perception.truth import DepthBins, Sight, packed
+from me3bev_cli.perception.truth import CELLS, DepthBins, Sight, packed
 from me3bev_cli.seeding import derive_seed
 
 if TYPE_CHECKING:
@@ -25,6 +25,11 @@ if TYPE_CHECKING:
 
 TRUTH = ("depth", "semantics")
 """Parts of a log from which depth and sight are told, if it has them."""
+ROAM, TRIES = 8.0, 4
+"""Metres that another place is away, at most, along each axis; how many are tried."""
+STAND = slice(CELLS // 2 - 5, CELLS // 2 + 5)
+"""The cells that a vehicle stands on, whichever way it looks."""
+THINGS = [BEV_CLASSES.index(name) for name in ("building", "vehicle", "pedestrian")]
 BURST = (5, 20)
 """Steps that a disturbance of the driving lasts, and that pass before the next one, at least and at most."""
 
@@ -73,6 +78,7 @@ class FrameSource:
         every: of so many environment steps one is kept.
         noise: strength of the disturbances of the autopilot's actions, so that it is seen off its lane too.
         depth: bins in which depth is predicted; None: it is not.
+        roam: share of the frames that are seen from elsewhere near by, where the simulator can.
     """
 
     simulator: Any
@@ -82,6 +88,7 @@ class FrameSource:
     every: int
     noise: float
     depth: DepthBins | None
+    roam: float = 0.0
     _envs: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
     _sight: Sight | None = field(default=None, init=False, repr=False)
 
@@ -119,17 +126,30 @@ class FrameSource:
             seed = derive_seed(*job.names, episode)
             observation, _ = env.reset(seed=seed)
             disturbances = _disturbances(np.random.default_rng(seed), self.noise)
+            elsewhere = np.random.default_rng(derive_seed(seed, "elsewhere"))
             done = False
             while not done:
-                yield partial(self._frame, env, observation)
+                yield partial(self._frame, env, observation, elsewhere)
                 action = np.clip(env.unwrapped.autopilot() + next(disturbances), -1.0, 1.0).astype(np.float32)
                 observation, _, terminated, truncated, _ = env.step(action)
                 done = terminated or truncated
 
-    def _frame(self, env: Any, observation: dict[str, NDArray[Any]]) -> Frame:
-        bev = env.unwrapped.bev_semantics()
-        depth, classes = env.unwrapped.camera_truth()
-        return observation["images"].copy(), packed(bev, self._seen(depth, classes, bev)), self._shares(depth)
+    def _frame(self, env: Any, observation: dict[str, NDArray[Any]], rng: np.random.Generator) -> Frame:
+        world = env.unwrapped
+        if rng.random() < self.roam and hasattr(world, "look_from"):
+            images, depth, classes, bev = self._elsewhere(world, rng)
+        else:
+            images, bev = observation["images"].copy(), world.bev_semantics()
+            depth, classes = world.camera_truth()
+        return images, packed(bev, self._seen(depth, classes, bev)), self._shares(depth)
+
+    def _elsewhere(self, world: Any, rng: np.random.Generator) -> View:
+        """From a free place near by, looking any way; from the ego's own where none is found."""
+        for _ in range(TRIES):
+            view: View = world.look_from(*rng.uniform(-ROAM, ROAM, 2), rng.uniform(-np.pi, np.pi))
+            if not np.isin(view.bev[STAND, STAND], THINGS).any():
+                return view
+        return cast("View", world.look_from(0.0, 0.0, 0.0))
 
     def _logged(self, path: Path) -> Iterator[Make]:
         from me3bev_cli.recording.frames import FrameLog

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from me3bev_cli.api import Actors, ObservationConfig, StepRecord
+from me3bev_cli.api import Actors, ObservationConfig, StepRecord, View
 from me3bev_cli.errors import UserError
 from me3bev_cli.seeding import derive_seed
 from me3bev_plugins.simulator.highway import driver, options
@@ -252,6 +254,17 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
     def route_line(self) -> NDArray[np.float64]:
         """The centre line (P, 3) of the route that is to be driven, world frame, metres."""
         return self.route.points[(self.route.s >= 0) & (self.route.s <= self.route.length)]
+
+    def look_from(self, ahead: float, left: float, turn: float) -> View:
+        """What would be seen from another place on the ground: metres from the ego, radians to its left."""
+        here = self.vehicle.pose
+        c, s = math.cos(here.heading), math.sin(here.heading)
+        x, y = here.x + c * ahead - s * left, here.y + s * ahead + c * left
+        scene = replace(self.scene, ego=replace(here, x=x, y=y, heading=here.heading + turn))
+        images = np.empty((len(self.rig.cameras), 3, *self.rig.image_size), np.uint8)
+        self.cameras.render(scene, images)
+        depth, classes = self.cameras.truth(scene)
+        return View(images, depth, classes, bev_semantics(scene))
 
     def plan_view(self, size: int) -> NDArray[np.uint8]:
         """The surroundings from above with what is left of the route, the ego heading up: (size, size, 3) r, g, b."""
