@@ -33,6 +33,8 @@ def collect(
 
     The same command goes on where it was stopped; the files are the same for any number of workers.
     """
+    import cv2
+
     from me3bev_cli.errors import UserError
     from me3bev_cli.evaluation.choice import choose_cells, choose_driver, reference_or_run
     from me3bev_cli.output import write_json
@@ -43,6 +45,7 @@ def collect(
 
     if png and quality is not None:
         raise UserError("PNG images have no quality", where="--png", hint="Give --png or --quality")
+    cv2.setNumThreads(1)  # Images of this size are encoded sooner than threads are woken.
     name, run = reference_or_run(driver)
     spec, loaded = choose_driver(run, "last", name, recipe, "auto")
     cells = choose_cells(loaded, maps, density, weather, "training")

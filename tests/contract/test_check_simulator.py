@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import pytest
 from fakes import WEATHERS, LineEnv, LineSimulator
 
-from me3bev_cli.api import ObservationConfig, Rig
+from me3bev_cli.api import Actors, ObservationConfig, Rig
 from me3bev_cli.errors import PluginError
 from me3bev_cli.testing import check_plugin
 
@@ -82,6 +83,16 @@ class FlatPlan(LineEnv):
         return super().plan_view(size)[..., 0]
 
 
+class StrangeActors(LineEnv):
+    def actors(self) -> Actors:
+        return super().actors()._replace(kinds=np.array([0, 9]))
+
+
+class FlatRoute(LineEnv):
+    def route_line(self) -> Any:
+        return super().route_line()[:, :2]
+
+
 class IgnoresSeed(LineEnv):
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         return super().reset(seed=None)
@@ -97,6 +108,8 @@ class IgnoresSeed(LineEnv):
         (WeatherMovesRoutes, "routes and traffic of a seed are the same in any weather. Seen: not in 'moon'"),
         (AnyWeather, "an unknown weather raises UserError"),
         (FlatPlan, "plan_view(64) is (64, 64, 3) uint8"),
+        (StrangeActors, "the kinds of actors are indices of ('car', 'van',"),
+        (FlatRoute, "route_line() is (P, 3), finite. Seen: (2, 2)"),
         (IgnoresSeed, "the same seed gives the same first observation"),
     ],
 )
