@@ -27,15 +27,19 @@ def evaluate(
         typer.Option(help="As clear_noon,night or all, training, evaluation. Default: the recipe's evaluation set."),
     ] = None,
     run: Annotated[
-        list[Path] | None, typer.Option(help="Run or checkpoint folder; several times. Default: the newest run.")
+        list[Path] | None,
+        typer.Option(help="Run or checkpoint folder, several times. Default: the newest run.", metavar="RUN"),
     ] = None,
     checkpoint: Annotated[str, typer.Option(help="Which of the runs' checkpoints.")] = "last",
     driver: Annotated[
         list[str] | None,
-        typer.Option(help="Without --run instead of one: autopilot, idle, random or untrained; several times."),
+        typer.Option(
+            help="autopilot, idle, random or untrained, several times; without --run in place of the newest run.",
+            metavar="NAME",
+        ),
     ] = None,
     reference: Annotated[
-        str | None, typer.Option(help="Rows of reference drivers beside it, as idle,random or all.")
+        str | None, typer.Option(help="Such drivers beside the newest run, as idle,random or all.")
     ] = None,
     recipe: Annotated[str | None, typer.Option(help="World of a --driver. Default: highway as it comes.")] = None,
     episodes: Annotated[int, typer.Option(help="For each map and density.")] = 20,

@@ -47,9 +47,8 @@ def _scene(figure: Any, snapshot: Snapshot) -> None:
     height = sheet.shape[0]
     left, right = figure.subplots(1, 2, width_ratios=(sheet.shape[1] / height, 1.0))
     left.imshow(sheet, aspect="auto" if sheet.shape[1] < 2 * height else "equal")
-    left.set_title(
-        f"{snapshot.map}, {snapshot.density}, {snapshot.weather}, step {snapshot.step}: {_names(snapshot)}", fontsize=9
-    )
+    where = f"{snapshot.method}, {snapshot.map}, {snapshot.density}, {snapshot.weather}, step {snapshot.step}"
+    left.set_title(f"{where}: {_names(snapshot)}", fontsize=9)
     right.imshow(plan)
     middle = (len(plan) - 1) / 2
     right.plot(middle, middle, marker="^", color="white", markersize=6)

@@ -183,5 +183,6 @@ class Player:
                 step, over = step + 1, terminated or truncated
             bev = np.array(env.unwrapped.bev_semantics())  # type: ignore[attr-defined]
             images = np.array(seen["images"])
-        cameras = self.methods[job.method].world.observation.cameras
-        return Snapshot(job.map, job.density, weather_of(info), step, cameras, images, bev)
+        method = self.methods[job.method]
+        cameras = method.world.observation.cameras
+        return Snapshot(method.label, job.map, job.density, weather_of(info), step, cameras, images, bev)

@@ -186,7 +186,7 @@ def drive(evaluation: Evaluation, workers: int, progress: EvaluationProgress) ->
                 cache.keep(episode)
         progress.add(played.episodes)
 
-    everything = jobs if load_snapshot(picture) else [look_into(evaluation.visits[0]), *jobs]
+    everything = jobs if _has_picture(evaluation) else [look_into(evaluation.visits[0]), *jobs]
     try:
         run_jobs(player, everything, workers, take, progress.died)
     except UserError:
@@ -197,6 +197,15 @@ def drive(evaluation: Evaluation, workers: int, progress: EvaluationProgress) ->
             note(evaluation.out / folder.TIMING, timing, progress.seconds, workers)
     episodes = [done[visit] for visit in evaluation.visits]
     return Driven(episodes, load_snapshot(picture), notes, pace(timing, progress.seconds, workers))
+
+
+def _has_picture(evaluation: Evaluation) -> bool:
+    """Whether the folder's snapshot is of the first episode: an evaluation that has grown may begin elsewhere."""
+    snapshot, first = load_snapshot(evaluation.out / folder.SNAPSHOT), evaluation.visits[0]
+    if snapshot is None:
+        return False
+    label = evaluation.methods[first.method].label
+    return (snapshot.method, snapshot.map, snapshot.density) == (label, first.map, first.density)
 
 
 def _shared(evaluation: Evaluation) -> list[ReferenceLogs | None]:

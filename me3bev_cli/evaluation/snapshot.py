@@ -18,6 +18,8 @@ from me3bev_cli.files import atomic_write_bytes
 class Snapshot:
     """One instant as it was seen."""
 
+    method: str
+    """Who drove."""
     map: str
     density: str
     weather: str

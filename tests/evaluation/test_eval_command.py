@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -65,15 +66,20 @@ def test_it_ends_with_a_table_and_files(recipe: Path, tmp_path: Path) -> None:
     assert row["n"] == 3
 
 
-def test_the_same_seed_writes_the_same_bytes(recipe: Path, tmp_path: Path) -> None:
-    options = ("--driver", "random", "--recipe", recipe, "--maps", "M1,M3", "--density", "low", "--episodes", 5)
-    for workers in (1, 2, 4):
+@pytest.mark.parametrize(("driver", "others"), [("random", (2, 4)), ("untrained", (2,))])
+def test_the_same_seed_writes_the_same_bytes(
+    recipe: Path, tmp_path: Path, driver: str, others: tuple[int, ...]
+) -> None:
+    options = ("--driver", driver, "--recipe", recipe, "--maps", "M1,M3", "--density", "low", "--episodes", 5)
+    for workers in (1, *others):
+        # Without what was kept of the driver before.
+        shutil.rmtree(tmp_path / "runs", ignore_errors=True)
         result = run(*options, "--workers", workers, "--out", tmp_path / f"w{workers}")
         assert result.exit_code == 0, result.output
     for path in sorted((tmp_path / "w1").rglob("*")):
         if path.is_file() and path.name != "timing.json":
-            assert path.read_bytes() == (tmp_path / "w2" / path.relative_to(tmp_path / "w1")).read_bytes(), path
-            assert path.read_bytes() == (tmp_path / "w4" / path.relative_to(tmp_path / "w1")).read_bytes(), path
+            for workers in others:
+                assert path.read_bytes() == (tmp_path / f"w{workers}" / path.relative_to(tmp_path / "w1")).read_bytes()
     assert "NaN" not in (tmp_path / "w1" / "results.json").read_text()
 
 
