@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -168,6 +169,8 @@ class Player:
         timing.episodes += 1
         if self.folder is not None:
             episode.save(self.folder / label / episode.file_name)
+        if _abandoned():
+            raise SystemExit(1)
         return episode
 
     def _snapshot(self, job: Job, index: int) -> Snapshot:
@@ -186,3 +189,9 @@ class Player:
         method = self.methods[job.method]
         cameras = method.world.observation.cameras
         return Snapshot(method.label, job.map, job.density, weather_of(info), step, cameras, images, bev)
+
+
+def _abandoned() -> bool:
+    """Whether this is a worker process whose parent was killed, so that nobody waits for the rest of its job."""
+    parent = multiprocessing.parent_process()
+    return parent is not None and not parent.is_alive()

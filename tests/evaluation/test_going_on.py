@@ -109,8 +109,14 @@ def test_ctrl_c_and_kill_keep_finished_episodes(options: list[str], tmp_path: Pa
     logs = tmp_path / "cut" / "episodes" / "random"
     child = process(options, tmp_path, "cut", 2, 0.02)
     wait_for_logs(logs, 3, child)
+    workers = children(child.pid)
     child.send_signal(number)
     _, err = child.communicate(timeout=60)
+    deadline = time.monotonic() + 60
+    # Workers that nobody waits for any more leave after the episode that they are at.
+    while any(Path(f"/proc/{pid}").exists() for pid in workers):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
     kept = len(list(logs.glob("[!.]*.npz")))
     assert 3 <= kept < 18
     if number == signal.SIGINT:
