@@ -18,9 +18,10 @@ SUFFIXES = (".yaml", ".yml")
 
 
 def shipped_recipes() -> dict[str, Path]:
-    """Recipes that come with me3bev, by name."""
+    """Recipes that come with me3bev, by name; those of a family are named with it, as `small/me3bev`."""
     folder = Path(str(files("me3bev_recipes")))
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+    found = [*sorted(folder.glob("*.yaml")), *sorted(folder.glob("*/*.yaml"))]
+    return {path.relative_to(folder).with_suffix("").as_posix(): path for path in found}
 
 
 def resolve_recipe(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Recipe:
@@ -59,7 +60,7 @@ def find_recipe(source: str, base: Path | None = None, where: str | None = None)
     path = (base or Path()) / source
     if is_path and path.is_file():
         return path
-    if not is_path and source in shipped:
+    if source in shipped:
         return shipped[source]
     if not is_path or (path.stem in shipped and not path.exists()):
         error = unknown_name("recipe", path.stem if is_path else source, shipped, where=where)

@@ -19,6 +19,15 @@ if TYPE_CHECKING:
     from me3bev_cli.recipe_stages import SimulatedStage
 
 
+EPISODES_OF_A_STAGE = 1_000_000
+"""More than a stage plays: the next one begins here, so that two stages on one map have episodes of their own."""
+
+
+def first_episode_of(stage: int) -> int:
+    """Index of the first episode of a recipe's stage, by the stage's number."""
+    return stage * EPISODES_OF_A_STAGE
+
+
 def _to_stderr(text: str) -> None:
     print(f"warning: {text}", file=sys.stderr)
 

@@ -14,7 +14,7 @@ from me3bev_cli.errors import CheckpointError
 from me3bev_cli.seeding import derive_seed
 from me3bev_cli.training.alarms import WORKER, guard_gradients, guard_outputs
 from me3bev_cli.training.demonstrations import Floats, Pool, Round, Taught
-from me3bev_cli.training.environments import make_environments
+from me3bev_cli.training.environments import first_episode_of, make_environments
 from me3bev_cli.training.imitation_driving import Outcome, RoundDriver
 from me3bev_cli.training.imitation_learning import Learner, Losses, errors
 from me3bev_cli.training.trainer import InterruptedTrainingError
@@ -75,7 +75,8 @@ class ImitationRunner:
         trainer, stage = self.trainer, self.stage
         if self.index >= self.count:
             return
-        env = make_environments(trainer.recipe, stage, around=Taught, told=lambda text: trainer.warn(WORKER, text))
+        first = first_episode_of(trainer.progress.stage)
+        env = make_environments(trainer.recipe, stage, first, Taught, lambda text: trainer.warn(WORKER, text))
         end = guard_outputs(trainer.network, trainer.run)
         guard_gradients(self.learner.optimizer, trainer.network, trainer.run)
         try:

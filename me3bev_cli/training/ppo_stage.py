@@ -10,7 +10,7 @@ from me3bev_cli.errors import CheckpointError
 from me3bev_cli.pipeline.policy import DrivingPolicy
 from me3bev_cli.seeding import derive_seed
 from me3bev_cli.training.alarms import WORKER, guard_gradients, guard_outputs
-from me3bev_cli.training.environments import make_environments
+from me3bev_cli.training.environments import first_episode_of, make_environments
 from me3bev_cli.training.monitor import Monitor
 from me3bev_cli.training.ppo_state import prepare
 from me3bev_cli.training.rollout import SequenceRolloutBuffer
@@ -47,7 +47,11 @@ class PpoRunner:
         if remaining <= 0:
             return
         env = make_environments(
-            trainer.recipe, stage, told=lambda text: trainer.warn(WORKER, text), check=self._check_stop
+            trainer.recipe,
+            stage,
+            first_episode_of(trainer.progress.stage),
+            told=lambda text: trainer.warn(WORKER, text),
+            check=self._check_stop,
         )
         end = guard_outputs(trainer.network, trainer.run)
         try:

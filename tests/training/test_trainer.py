@@ -20,7 +20,7 @@ from me3bev_cli.stopping import Stop
 from me3bev_cli.training.checkpoint import WEIGHTS, checkpoints, find_checkpoint, load_progress
 from me3bev_cli.training.curve import read_metrics
 from me3bev_cli.training.display import Display
-from me3bev_cli.training.environments import make_environments
+from me3bev_cli.training.environments import first_episode_of, make_environments
 from me3bev_cli.training.run import choose_run, make_run, newest_run, open_run
 from me3bev_cli.training.trainer import InterruptedTrainingError, Trainer
 
@@ -155,6 +155,9 @@ def test_every_episode_has_a_seed_of_its_own(line_recipe: Path) -> None:
         env.reset()
         seeds += env.get_attr("seed_used")
     assert len(set(seeds)) == 4
+    later = make_environments(recipe, recipe.stages[0], first_episode_of(1))
+    later.reset()
+    assert not set(seeds) & set(later.get_attr("seed_used"))
 
 
 def test_a_stage_trains_in_its_own_weather(line_recipe: Path) -> None:
