@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ TRUTH = ("depth", "semantics")
 """Parts of a log from which depth and sight are told, if it has them."""
 ROAM, TRIES = 8.0, 4
 """Metres that another place is away, at most, along each axis; how many are tried."""
+SWAY = (0.5, 0.05)
+"""Metres aside and radians, at most, that a view from the ego's own place is off. An autopilot keeps so exactly to the
+middle of its lane that, where lanes are 4 m wide and straight, lines lie exactly between two cells of the map: which of
+them is marked is then settled by nothing that can be seen."""
 STAND = slice(CELLS // 2 - 5, CELLS // 2 + 5)
 """The cells that a vehicle stands on, whichever way it looks."""
 THINGS = [BEV_CLASSES.index(name) for name in ("building", "vehicle", "pedestrian")]
@@ -114,9 +118,16 @@ class FrameSource:
         self._envs.clear()
 
     def _environment(self, place: str) -> Any:
+        """Without images where views can be asked for: most steps are passed over."""
         if place not in self._envs:
-            where = {"map": place, "density": self.density, "weather": self.weather}
-            self._envs[place] = self.simulator.make_env(self.observation, **where)
+            make = partial(
+                self.simulator.make_env, self.observation, map=place, density=self.density, weather=self.weather
+            )
+            env = make(images=False)
+            if not hasattr(env.unwrapped, "look_from"):
+                env.close()
+                env = make()
+            self._envs[place] = env
         return self._envs[place]
 
     def _driven(self, job: Job) -> Iterator[Make]:
@@ -136,8 +147,9 @@ class FrameSource:
 
     def _frame(self, env: Any, observation: dict[str, NDArray[Any]], rng: np.random.Generator) -> Frame:
         world = env.unwrapped
-        if rng.random() < self.roam and hasattr(world, "look_from"):
-            images, depth, classes, bev = self._elsewhere(world, rng)
+        if hasattr(world, "look_from"):
+            far = rng.random() < self.roam
+            images, depth, classes, bev = self._elsewhere(world, rng) if far else _beside(world, rng)
         else:
             images, bev = observation["images"].copy(), world.bev_semantics()
             depth, classes = world.camera_truth()
@@ -149,7 +161,7 @@ class FrameSource:
             view: View = world.look_from(*rng.uniform(-ROAM, ROAM, 2), rng.uniform(-np.pi, np.pi))
             if not np.isin(view.bev[STAND, STAND], THINGS).any():
                 return view
-        return cast("View", world.look_from(0.0, 0.0, 0.0))
+        return _beside(world, rng)
 
     def _logged(self, path: Path) -> Iterator[Make]:
         from me3bev_cli.recording.frames import FrameLog
@@ -188,6 +200,12 @@ class FrameSource:
         if depth is None:
             return np.zeros((cameras, len(self.depth.edges) - 1, *self.depth.size), np.uint8)
         return self.depth.shares(depth)
+
+
+def _beside(world: Any, rng: np.random.Generator) -> View:
+    """From the ego's own place, give or take a little: see `SWAY`."""
+    view: View = world.look_from(0.0, rng.uniform(-SWAY[0], SWAY[0]), rng.uniform(-SWAY[1], SWAY[1]))
+    return view
 
 
 def _listed(names: Sequence[str]) -> str:
