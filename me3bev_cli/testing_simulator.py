@@ -146,10 +146,10 @@ def _check_camera_truth(cls: Any, env: Any) -> None:
     require(cls, bool((depth > 0).all()), "every depth is positive, inf where nothing is", float(depth.min()))
     require(cls, int(classes.max()) < len(BEV_CLASSES), "every pixel is of a known class", int(classes.max()))
     if hasattr(env.unwrapped, "look_from"):
-        here = env.unwrapped.look_from(0.0, 0.0, 0.0)
+        here = env.unwrapped.look_from(0.0, 0.0, 0.0, 1.0)
         told = (depth, classes, env.unwrapped.bev_semantics())
         same = all(np.array_equal(part, other) for part, other in zip(here[1:], told, strict=True))
-        require(cls, same, "look_from(0, 0, 0) gives the truth of where the ego is", "it differs")
+        require(cls, same, "look_from(0, 0, 0, 1) gives the truth of where the ego is", "it differs")
 
 
 def _check_weather(

@@ -31,6 +31,8 @@ SWAY = (0.5, 0.05)
 """Metres aside and radians, at most, that a view from the ego's own place is off. An autopilot keeps so exactly to the
 middle of its lane that, where lanes are 4 m wide and straight, lines lie exactly between two cells of the map: which of
 them is marked is then settled by nothing that can be seen."""
+SCALES = (0.75, 0.85, 1.0, 1.0, 1.15, 1.3)
+"""How large the world is when it is seen from another place: lanes and sidewalks of one town are all of one width."""
 STAND = slice(CELLS // 2 - 5, CELLS // 2 + 5)
 """The cells that a vehicle stands on, whichever way it looks."""
 THINGS = [BEV_CLASSES.index(name) for name in ("building", "vehicle", "pedestrian")]
@@ -158,7 +160,7 @@ class FrameSource:
     def _elsewhere(self, world: Any, rng: np.random.Generator) -> View:
         """From a free place near by, looking any way; from the ego's own where none is found."""
         for _ in range(TRIES):
-            view: View = world.look_from(*rng.uniform(-ROAM, ROAM, 2), rng.uniform(-np.pi, np.pi))
+            view: View = world.look_from(*rng.uniform(-ROAM, ROAM, 2), rng.uniform(-np.pi, np.pi), rng.choice(SCALES))
             if not np.isin(view.bev[STAND, STAND], THINGS).any():
                 return view
         return _beside(world, rng)
@@ -204,7 +206,7 @@ class FrameSource:
 
 def _beside(world: Any, rng: np.random.Generator) -> View:
     """From the ego's own place, give or take a little: see `SWAY`."""
-    view: View = world.look_from(0.0, rng.uniform(-SWAY[0], SWAY[0]), rng.uniform(-SWAY[1], SWAY[1]))
+    view: View = world.look_from(0.0, rng.uniform(-SWAY[0], SWAY[0]), rng.uniform(-SWAY[1], SWAY[1]), 1.0)
     return view
 
 

@@ -72,3 +72,13 @@ def test_the_map_moves_against_the_place_and_turns_against_the_turn(world: Any) 
     assert (here[:, 20:150] == left[:, 30:160]).mean() > 0.97
     turned = world.look_from(0.0, 0.0, np.pi / 2).bev == road
     assert (np.rot90(here, -1) == turned).mean() > 0.97
+
+
+def test_a_larger_world_is_larger_on_the_map_and_farther_away(world: Any) -> None:
+    road = BEV_CLASSES.index("road")
+    here, large = world.bev_semantics() == road, world.look_from(0.0, 0.0, 0.0, 2.0).bev == road
+    grown = here[50:150, 50:150].repeat(2, 0).repeat(2, 1)
+    assert (grown == large).mean() > 0.95
+    # The ground is as far away as ever: the cameras stand as high above it as they did.
+    depth = world.camera_truth()[0][:, -1]
+    np.testing.assert_allclose(world.look_from(0.0, 0.0, 0.0, 2.0).depth[:, -1], depth, rtol=1e-3)

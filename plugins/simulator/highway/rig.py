@@ -31,6 +31,17 @@ def surround_rig(observation: ObservationConfig) -> Rig:
     return Rig(cameras=tuple(_camera(name, observation.width, observation.height) for name in observation.cameras))
 
 
+def shrunk(rig: Rig, scale: float) -> Rig:
+    """The rig at 1 / `scale` of its size: to it the world looks `scale` times as large."""
+    places = [camera.position for camera in rig.cameras]
+    smaller = [(x / scale, y / scale, z / scale) for x, y, z in places]
+    return Rig(
+        cameras=tuple(
+            camera.model_copy(update={"position": place}) for camera, place in zip(rig.cameras, smaller, strict=True)
+        )
+    )
+
+
 def _camera(name: str, width: int, height: int) -> Camera:
     if name not in MOUNTS:
         raise unknown_name("camera", name, CAMERA_NAMES, where="observation.cameras")
