@@ -74,7 +74,7 @@ def _read(path: Path, name: str) -> Iterator[Score]:
         if data["driver"] != "policy":
             return
         # Beside the run there may be rows of other drivers.
-        rows = [r for r in data["rows"] if r["metric"] == METRIC and data.get("method") in (None, r["method"])]
+        rows = [r for r in data["rows"] if r["metric"] == METRIC and data.get("method") in (None, r.get("method"))]
         many = any(row["map"] == AVERAGE for row in rows)
         for row in rows:
             if many and row["map"] != AVERAGE:

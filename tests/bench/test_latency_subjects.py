@@ -37,7 +37,7 @@ def run(line_recipe: Path, tmp_path: Path) -> Path:
     folder = tmp_path / "runs" / "mine"
     make_run(folder, dump(recipe))
     for steps in (64, 128):
-        save_checkpoint(folder, build_network(recipe, 0), recipe, Progress(total_steps=steps), {})
+        save_checkpoint(folder, build_network(recipe, 0).state_dict(), recipe, Progress(total_steps=steps), {})
     return folder
 
 
