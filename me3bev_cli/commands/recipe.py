@@ -71,6 +71,36 @@ def _sizes(fit: Fit) -> str:
 
 
 @app.command()
+def diff(
+    first: Annotated[str, typer.Argument(help="A recipe file or name, or a run.", metavar="A")],
+    second: Annotated[str, typer.Argument(help="The other one.", metavar="B")],
+    json: Json = None,
+) -> None:
+    """Show which keys of two recipes differ, as resolved. A run stands for the recipe it was trained by."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    from me3bev_cli.output import STDOUT, console, write_json
+    from me3bev_cli.recipe_diff import differences, load_plain, shown
+
+    found = differences([load_plain(source) for source in (first, second)])
+    if json is not None:
+        write_json({"recipes": [first, second], "differences": [one.row() for one in found]}, json)
+    if json == STDOUT:
+        return
+    if not found:
+        console().print("no key differs")
+        return
+    table = Table(box=box.SIMPLE, padding=(0, 1, 0, 0), show_edge=False)
+    for title in ("key", first, second):
+        table.add_column(escape(title), overflow="fold")
+    for one in found:
+        table.add_row(escape(one.key), *(escape(shown(value)) for value in one.values))
+    console().print(table)
+
+
+@app.command()
 def schema(
     out: Annotated[Path | None, typer.Option(help="A file instead of stdout.", metavar="FILE")] = None,
 ) -> None:
