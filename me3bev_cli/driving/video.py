@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
@@ -112,11 +112,12 @@ class Video:
 
 
 @contextmanager
-def video_file(path: Path, width: int, height: int) -> Iterator[Video]:
+def video_file(path: Path, width: int, height: int, options: Mapping[str, str] | None = None) -> Iterator[Video]:
     """A video to be filled inside the block; at its end it gets its name, unless it holds no frame or an error left it.
 
     Args:
         width, height: of every frame, even numbers of pixels.
+        options: of the codec, in place of the format's.
 
     Raises:
         UserError: as `check_target`, and when the system refuses later.
@@ -126,7 +127,7 @@ def video_file(path: Path, width: int, height: int) -> Iterator[Video]:
     os.close(handle)
     temporary = Path(name)
     try:
-        video = Video(path, _encoder(temporary, width, height))
+        video = Video(path, _encoder(temporary, width, height, options or {}))
         try:
             yield video
         finally:
@@ -151,8 +152,9 @@ def _unwritable(path: Path, error: OSError) -> UserError:
     return UserError(f"cannot be written: {error.strerror or error}", where=str(path))
 
 
-def _encoder(path: Path, width: int, height: int) -> Encoder:
+def _encoder(path: Path, width: int, height: int, options: Mapping[str, str]) -> Encoder:
     form = FORMATS[path.suffix]
+    form = form._replace(options={**form.options, **options})
     codec = next((name for name in form.codecs if has_codec(name)), None)
     if codec is not None:
         return FFmpegEncoder(path, form, codec, width, height)
