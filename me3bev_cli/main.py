@@ -21,6 +21,7 @@ from me3bev_cli.commands import (
     plot,
     plugins,
     recipe,
+    report,
     runs,
     train,
 )
@@ -92,6 +93,7 @@ app.command()(train.train)
 app.command("eval")(evaluation.evaluate)
 app.command()(runs.runs)
 app.command()(plot.plot)
+app.command()(report.report)
 app.command(cls=drive.DriveCommand)(drive.drive)
 app.command()(decode.decode)
 app.command()(bench_latency.bench_latency)

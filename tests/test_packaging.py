@@ -179,7 +179,7 @@ def test_help_fits_a_screen_and_imports_nothing_heavy() -> None:
     assert max(map(len, lines)) <= 100
     verbs = [line.split()[0] for line in lines[lines.index("Commands:") + 1 : lines.index("Helpers:") - 1]]
     benches = ["bench-latency", "bench-env", "bench-train"]
-    assert verbs == ["collect", "train", "eval", "runs", "plot", "drive", "decode", *benches]
+    assert verbs == ["collect", "train", "eval", "runs", "plot", "report", "drive", "decode", *benches]
 
 
 def test_make_targets_that_the_readme_names_exist() -> None:

@@ -1,0 +1,35 @@
+"use strict";
+(() => {
+  // A cell without a value stays at the end, whichever way the others go.
+  const compare = (a, b, way) => {
+    if (a === "" || b === "") return a === b ? 0 : a === "" ? 1 : -1;
+    const x = Number(a), y = Number(b);
+    return way * (Number.isNaN(x) || Number.isNaN(y) ? a.localeCompare(b, "en", { numeric: true }) : x - y);
+  };
+
+  const sort = (button) => {
+    const heading = button.closest("th"), table = button.closest("table"), body = table.tBodies[0];
+    const column = heading.cellIndex, numeric = !heading.classList.contains("word");
+    const now = heading.getAttribute("aria-sort");
+    // Numbers begin with the largest, words with the first letter.
+    const next = now === "none" ? (numeric ? "descending" : "ascending") : now === "ascending" ? "descending" : "ascending";
+    for (const other of table.tHead.rows[0].cells) {
+      if (other.hasAttribute("aria-sort")) other.setAttribute("aria-sort", "none");
+    }
+    heading.setAttribute("aria-sort", next);
+    const way = next === "ascending" ? 1 : -1;
+    const value = (row) => row.cells[column].dataset.value ?? "";
+    body.append(...[...body.rows].sort((a, b) => compare(value(a), value(b), way)));
+    document.getElementById("said").textContent = `sorted by ${button.textContent.trim()}, ${next}`;
+  };
+
+  document.addEventListener("click", (event) => {
+    const button = event.target.closest("th button");
+    if (button) sort(button);
+  });
+
+  // One clip at a time.
+  document.addEventListener("play", (event) => {
+    for (const video of document.querySelectorAll("video")) if (video !== event.target) video.pause();
+  }, true);
+})();
