@@ -2,72 +2,81 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple, cast
+
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
-from torchvision.models import resnet18
 
-from me3bev_cli.api import BEV_CLASSES, TokenSpec
-from me3bev_cli.errors import UserError
+from me3bev_cli.api import BEV_CLASSES
+from me3bev_cli.decoding.resnet import resnet_stages
 
 SIZE = 200
 """Cells per side of the semantic map."""
+SPREAD = 50
+"""Cells per side that a coarse latent is spread to, about: a token tells of all the finer cells in it at once."""
+FACTOR = 8
+"""By how much it is spread, at most."""
 COARSE = 25
-"""Cells per side at which the ResNet works: three times finer than the tokens."""
-SHALLOW = 64
-"""Channels of the shallow features."""
+"""Cells per side at which the ResNet begins, about."""
+LEAST = 24
+"""What is still coarser is interpolated to as many."""
+SHALLOW, WIDE, JOINED = 48, 64, 64
+"""Channels of the shallow features, of what the ResNet reads, and between the two layers that score."""
+
+
+class LatentSpec(NamedTuple):
+    """What is decoded: `channels` numbers for each of `rows` x `columns` places."""
+
+    channels: int
+    rows: int
+    columns: int
 
 
 class SemanticDecoder(nn.Module):
-    """Latent tokens u_BEV (N, K, D) -> class scores (N, 8, 200, 200).
+    """A latent (N, channels, rows, columns) -> class scores (N, 8, 200, 200).
 
     Args:
-        tokens: the token grid that is decoded.
-        pretrained: False for random weights, or a file of ResNet-18 weights (a torchvision state dict).
+        latent: what is decoded; a single vector is a grid of one place.
+        pretrained: True for torchvision's ResNet-18, False for random weights, or a file of weights.
 
     Raises:
-        UserError: the weights file is missing or is not ResNet-18's.
+        UserError: the weights cannot be had.
     """
 
-    def __init__(self, tokens: TokenSpec, pretrained: str | None = None) -> None:
+    def __init__(self, latent: LatentSpec, pretrained: bool | str = False) -> None:
         super().__init__()
-        self.tokens = tokens
-        trunk = resnet18(weights=None)
-        if pretrained is not None:
-            load_resnet(trunk, pretrained)
-        self.conv = nn.Sequential(nn.Conv2d(tokens.width, SHALLOW, 3, padding=1), nn.BatchNorm2d(SHALLOW), nn.ReLU())
-        self.deep = nn.Sequential(trunk.layer1, trunk.layer2, trunk.layer3)
-        self.head = nn.Sequential(
-            nn.Conv2d(256 + SHALLOW, 64, 3, padding=1),
-            nn.BatchNorm2d(64),
+        self.latent = latent
+        longest = max(latent.rows, latent.columns)
+        factor = min(FACTOR, max(1, round(SPREAD / longest)))
+        around = 3 if longest > 1 else 1
+        self.conv = nn.Sequential(
+            nn.Conv2d(latent.channels, WIDE * factor**2, around, padding=around // 2),
+            nn.PixelShuffle(factor),
+            nn.BatchNorm2d(WIDE),
             nn.ReLU(),
-            nn.Upsample(scale_factor=4, mode="bilinear"),
-            nn.Conv2d(64, 32, 3, padding=1),
-            nn.BatchNorm2d(32),
-            nn.ReLU(),
-            nn.Conv2d(32, len(BEV_CLASSES), 1),
+        )
+        fine = factor * longest
+        self.size = max(fine, LEAST)
+        # What is around a place is read coarsely; what is at it comes by the shallow features.
+        self.coarse = nn.MaxPool2d(max(1, round(self.size / COARSE)))
+        self.shallow = nn.Sequential(nn.Conv2d(WIDE, SHALLOW, 1), nn.ReLU())
+        self.resnet = resnet_stages(pretrained)
+        self.deep = nn.Sequential(nn.Conv2d(256, WIDE, 1), nn.BatchNorm2d(WIDE), nn.ReLU())
+        finer = max(1, SIZE // self.size)
+        self.join = nn.Sequential(nn.Conv2d(WIDE + SHALLOW, JOINED, 3, padding=1), nn.BatchNorm2d(JOINED), nn.ReLU())
+        self.scores = nn.Sequential(
+            nn.Conv2d(JOINED, len(BEV_CLASSES) * finer**2, 3, padding=1), nn.PixelShuffle(finer)
         )
 
     def forward(self, latent: Tensor) -> Tensor:
-        """(N, K, D) -> (N, 8, 200, 200)."""
-        grid = latent.transpose(1, 2).reshape(-1, self.tokens.width, self.tokens.rows, self.tokens.columns)
-        shallow = self.conv(interpolate(grid, size=(COARSE, COARSE), mode="bilinear"))
-        deep = interpolate(self.deep(shallow), size=shallow.shape[-2:], mode="bilinear")
-        scores = self.head(torch.cat([deep, shallow], 1))
+        """See the class."""
+        spread = self.conv(latent)
+        if max(spread.shape[-2:]) < self.size:
+            spread = interpolate(spread, size=(self.size, self.size), mode="bilinear")
+        deep = self.deep(self.resnet(self.coarse(spread)))
+        deep = interpolate(deep, size=spread.shape[-2:], mode="bilinear")
+        scores = cast(Tensor, self.scores(self.join(torch.cat([deep, self.shallow(spread)], 1))))
+        if scores.shape[-2:] == (SIZE, SIZE):
+            return scores
         return interpolate(scores, size=(SIZE, SIZE), mode="bilinear")
-
-
-def load_resnet(trunk: nn.Module, path: str) -> None:
-    """Fill a torchvision ResNet-18 from a file of weights.
-
-    Raises:
-        UserError: the file is missing, damaged or of another network.
-    """
-    try:
-        trunk.load_state_dict(torch.load(path, map_location="cpu", weights_only=True))
-    except Exception as error:  # torch.load raises many types for a file that is not its own
-        raise UserError(
-            f"'{path}' does not hold ResNet-18 weights ({type(error).__name__})",
-            where="--pretrained",
-            hint="Save torchvision's resnet18 state dict there, or leave the option out",
-        ) from error
