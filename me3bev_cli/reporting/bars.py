@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from me3bev_cli.evaluation.summary import AVERAGE
-from me3bev_cli.reporting.chart import Chart
+from me3bev_cli.reporting.chart import UNTITLED, Chart
 from me3bev_cli.reporting.figures import better, scale, title, whole
 from me3bev_cli.reporting.suites import Suite
 
@@ -42,9 +42,8 @@ def bar_charts(suite: Suite, density: str) -> list[Picture]:
 def _chart(suite: Suite, density: str, metric: str) -> Markup:
     places = [*suite.maps, *([AVERAGE] if suite.whole == AVERAGE else [])]
     rows = [row for row in suite.rows if row.metric == metric and row.density == density]
-    chart = Chart(
-        (0.0, float(len(places))), scale(metric, rows), f"{title(metric)} by map and method, {density} density"
-    )
+    label = f"{title(metric)} by map and method, {density} density"
+    chart = Chart((0.0, float(len(places))), scale(metric, rows), label, UNTITLED)
     chart.axes(x_ticks=False)
     width = FILLED / len(suite.methods)
     for group, place in enumerate(places):

@@ -27,6 +27,7 @@ from me3bev_cli.reporting import bars, tables
 from me3bev_cli.reporting.curves import curves
 from me3bev_cli.reporting.gallery import Failures, tell_failures
 from me3bev_cli.reporting.page import render
+from me3bev_cli.reporting.pairing import pair
 from me3bev_cli.reporting.reproduce import Step, evaluated, timed, trained
 from me3bev_cli.reporting.scatter import comfort_chart, pareto
 from me3bev_cli.reporting.sources import Sources
@@ -80,6 +81,8 @@ def build(
     """
     check_out(out)
     found = suites(sources.evaluations)
+    for suite in found:
+        pair(suite)
     stage = out / STAGE
     try:
         shutil.rmtree(stage, ignore_errors=True)
@@ -121,7 +124,7 @@ def _contents(
         "subtitle": _subtitle(found),
         "version": __version__,
         "suites": [_suite(suite) for suite in found],
-        "compared": any(suite.comparisons for suite in found),
+        "baselines": list(dict.fromkeys(suite.baseline for suite in found if suite.baseline)),
         "published_note": NOTE,
         "curves": learned,
         "pareto": speed,
@@ -175,7 +178,7 @@ def _suite(suite: Suite) -> dict[str, Any]:
 
 
 def _block(suite: Suite, density: str) -> dict[str, Any]:
-    title = f"{suite.title.rpartition(', ')[0]}, {density} density"
+    title = f"{suite.places}, {density} density"
     shown = [name for name in bars.SHOWN if any(row.metric == name for row in suite.rows)]
     return {
         "title": title,

@@ -14,6 +14,8 @@ from markupsafe import Markup, escape
 WIDTH, HEIGHT = 380, 250
 """Units; about as many CSS pixels."""
 LEFT, RIGHT, TOP, BOTTOM = 46, 10, 12, 40
+UNTITLED = 24
+"""The room below an axis that has no title."""
 SERIES = 8
 """Colours that the page has for series."""
 
@@ -46,12 +48,19 @@ class Chart:
     Args:
         x, y: ends of the axes.
         label: what a screen reader says of it.
+        bottom: room below the axis.
     """
 
     x: Point
     y: Point
     label: str
+    bottom: int = BOTTOM
     parts: list[Markup] = field(default_factory=list)
+
+    @property
+    def height(self) -> int:
+        """Of the whole."""
+        return HEIGHT - BOTTOM + self.bottom
 
     def at(self, x: float, y: float) -> Point:
         """Where a point is drawn."""
@@ -128,7 +137,7 @@ class Chart:
         """The whole."""
         inside = Markup("").join(self.parts)
         return Markup('<svg class="chart" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
-            WIDTH, HEIGHT, self.label, inside
+            WIDTH, self.height, self.label, inside
         )
 
     def _text(self, x: float, y: float, text: str, anchor: str) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from me3bev_cli.errors import UserError
+from me3bev_cli.recipe_diff import run_recipe
 from me3bev_cli.reporting.bars import Picture
 from me3bev_cli.reporting.chart import SERIES, Chart
 from me3bev_cli.training.best import SCORE
@@ -35,6 +36,7 @@ def curves(runs: Sequence[Path]) -> Curves:
     readable, found = [], Curves()
     for run in runs:
         try:
+            run_recipe(run)
             groups([run], WINDOW)
             readable.append(run)
         except (UserError, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -59,7 +61,10 @@ def curves(runs: Sequence[Path]) -> Curves:
 
 def _name(group: Group) -> str:
     count = len(group.curves)
-    return f"{group.label}, {count} seeds" if count > 1 else f"{group.label} ({group.curves[0].run.name})"
+    if count > 1:
+        return f"{group.label}, {count} seeds"
+    run = group.curves[0].run.name
+    return group.label if run in group.label else f"{group.label} ({run})"
 
 
 def _rewards(drawn: Sequence[Group]) -> Any:

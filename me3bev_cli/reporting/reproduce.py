@@ -48,12 +48,20 @@ def evaluated(evaluation: Evaluation) -> Step:
     else:
         command = _drive(evaluation)
     facts = [("figures", str(data.get("interval", ""))), *_versions(data.get("versions", {}))]
-    for method in evaluation.methods:
-        identity = method.get("identity") or {}
-        words = [f"{key} {identity[key]}" for key in ("checkpoint", "weights", "simulator_code") if identity.get(key)]
-        if words:
-            facts.append((str(method["method"]), ", ".join(words).replace("_", " ")))
+    facts += _identities(evaluation)
     return Step(f"Evaluation in {evaluation.folder}", command, [fact for fact in facts if fact[1]])
+
+
+def _identities(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """Digests of what decided the episodes: the simulator's code, and each policy's weights."""
+    identities = {str(method["method"]): method.get("identity") or {} for method in evaluation.methods}
+    found = [
+        (name, f"{one.get('checkpoint', '')}, weights {one['weights']}")
+        for name, one in identities.items()
+        if one.get("weights")
+    ]
+    codes = dict.fromkeys(str(one["simulator_code"]) for one in identities.values() if one.get("simulator_code"))
+    return [*found, *([("simulator code", ", ".join(codes))] if codes else [])]
 
 
 def _drive(evaluation: Evaluation) -> str:

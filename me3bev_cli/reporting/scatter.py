@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from me3bev_cli.evaluation.maps import shorten
 from me3bev_cli.reporting.bars import Picture
 from me3bev_cli.reporting.chart import Chart, tick_values
 from me3bev_cli.reporting.figures import whole
@@ -67,7 +66,8 @@ def pareto(suites: Sequence[Suite], benches: Sequence[tuple[Path, dict[str, Any]
             found.notes.append(f"{path} has the speed of {names}, none of which is a method of this report.")
             continue
         setup = bench["setup"]
-        threads = f", {setup['threads']} threads" if setup.get("threads") else ""
+        count = setup.get("threads")
+        threads = f", {count} thread{'s' if count > 1 else ''}" if count else ""
         found.notes.append(
             f"{path}: raw observation to action on {setup['device']}{threads}, {setup['dtype']}, "
             f"batch {setup['batch']}."
@@ -90,7 +90,7 @@ def _points(suite: Suite, density: str, rows: Sequence[Mapping[str, Any]]) -> li
         context = f"{own.get('context', '')} {own.get('length', '')}".strip()
         speed = {"context": context, "median_ms": float(own["median_ms"]), "p95_ms": float(own["p95_ms"])}
         ends = {"score": score.mean, "low": _number(score.low), "high": _number(score.high)}
-        cell = f"{suite.title.partition(',')[0] if len(suite.maps) < 2 else shorten(suite.maps)}, {density} density"
+        cell = f"{suite.places}, {density} density"
         points.append({"run": method.label, "series": number, "cell": cell, **speed, **ends})
     return points
 

@@ -52,9 +52,14 @@ class Suite:
     evaluations: list[Evaluation] = field(default_factory=list)
 
     @property
+    def places(self) -> str:
+        """The maps in few words."""
+        return shorten(self.maps).replace(",", ", ")
+
+    @property
     def title(self) -> str:
         """Where the episodes are."""
-        return f"{shorten(self.maps)}, {' and '.join(self.densities)} density"
+        return f"{self.places}, {' and '.join(self.densities)} density"
 
     @property
     def about(self) -> str:
@@ -70,6 +75,11 @@ class Suite:
     def whole(self) -> str:
         """The place that stands for all: the average, or the only map."""
         return AVERAGE if any(row.map == AVERAGE for row in self.rows) else self.maps[0]
+
+    @property
+    def baseline(self) -> str:
+        """The method that the others are compared with, or nothing."""
+        return str(self.comparisons[0]["baseline"]) if self.comparisons else ""
 
     @property
     def size(self) -> int:

@@ -67,7 +67,6 @@ def method_table(suite: Suite, metrics: Sequence[str], caption: str) -> Table:
     dense = len(suite.densities) > 1
     columns = [Column("method", numeric=False), *([Column("density", numeric=False)] if dense else [])]
     columns += [_column(name) for name in shown]
-    baseline = suite.comparisons[0]["baseline"] if suite.comparisons else ""
     lines, quiet = [], []
     for density in suite.densities:
         for number, method in enumerate(suite.methods):
@@ -77,7 +76,7 @@ def method_table(suite: Suite, metrics: Sequence[str], caption: str) -> Table:
             line = [Cell(method.label, method.label, series=number)]
             line += [Cell(density, density)] if dense else []
             line += [
-                _cell(row, suite.verdict(method.label, density, m), baseline)
+                _cell(row, suite.verdict(method.label, density, m), suite.baseline)
                 for m, row in zip(shown, rows, strict=True)
             ]
             lines.append(line)
@@ -89,7 +88,6 @@ def map_table(suite: Suite, density: str, metrics: Sequence[str]) -> Table:
     """The figures behind the bars: a line per map and method."""
     places = [*suite.maps, *([suite.whole] if suite.whole not in suite.maps else [])]
     columns = [Column("map", numeric=False), Column("method", numeric=False), *(_column(name) for name in metrics)]
-    baseline = suite.comparisons[0]["baseline"] if suite.comparisons else ""
     lines = []
     for place in places:
         for number, method in enumerate(suite.methods):
@@ -97,7 +95,7 @@ def map_table(suite: Suite, density: str, metrics: Sequence[str]) -> Table:
                 _cell(
                     suite.row(method.label, density, name, place),
                     suite.verdict(method.label, density, name, place),
-                    baseline,
+                    suite.baseline,
                 )
                 for name in metrics
             ]

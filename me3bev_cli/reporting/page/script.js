@@ -23,13 +23,28 @@
     document.getElementById("said").textContent = `sorted by ${button.textContent.trim()}, ${next}`;
   };
 
+  // The browser's own controls would cover the lower half of a clip; they remain where scripts do not run.
+  for (const button of document.querySelectorAll("button.play")) {
+    const video = button.closest("figure").querySelector("video");
+    video.controls = false;
+    button.hidden = false;
+    const show = (word) => {
+      button.textContent = word;
+      button.setAttribute("aria-label", `${word}: ${video.getAttribute("aria-label")}`);
+    };
+    video.addEventListener("play", () => {
+      for (const other of document.querySelectorAll("video")) if (other !== video) other.pause();
+      show("Pause");
+    });
+    video.addEventListener("pause", () => show("Play"));
+    show("Play");
+    for (const target of [button, video]) {
+      target.addEventListener("click", () => (video.paused ? video.play() : video.pause()));
+    }
+  }
+
   document.addEventListener("click", (event) => {
     const button = event.target.closest("th button");
     if (button) sort(button);
   });
-
-  // One clip at a time.
-  document.addEventListener("play", (event) => {
-    for (const video of document.querySelectorAll("video")) if (video !== event.target) video.pause();
-  }, true);
 })();
