@@ -29,7 +29,7 @@ def decode(
         typer.Option(help="As clear_noon,night or all. Default: the recipe's; its evaluation set for scoring."),
     ] = None,
     episodes: Annotated[
-        int | None, typer.Option(help="Live episodes: 20, a fifth of them held out; of each map with --eval: 4.", min=1)
+        int | None, typer.Option(help="Live episodes: 40, a fifth of them held out; of each map with --eval: 4.", min=1)
     ] = None,
     source: Annotated[str | None, typer.Option(help="u_bev, grid or both. Default: u_bev.")] = None,
     steps: Annotated[int | None, typer.Option(help="Minibatches at most. Default: 1000.", min=1)] = None,

@@ -6,16 +6,17 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from me3bev_cli.api import BEV_CLASSES
+from me3bev_cli.api import BEV_CLASSES, Rig
 from me3bev_cli.errors import LogError
-from me3bev_cli.perception.frames import SWAY, TRUTH
-from me3bev_cli.perception.truth import Sight
+from me3bev_cli.perception.frames import SCALES, SWAY, TRUTH
+from me3bev_cli.perception.truth import Sight, mirrored_cameras
 from me3bev_cli.pipeline.assemble import configured
 from me3bev_cli.seeding import derive_seed
 
@@ -34,6 +35,8 @@ class Take(NamedTuple):
     density: str = ""
     seed: int = 0
     log: Path | None = None
+    varied: bool = False
+    """Whether the world is seen in other sizes, by turned rigs, and with left and right exchanged."""
 
 
 class Moment(NamedTuple):
@@ -51,14 +54,32 @@ class Moment(NamedTuple):
     """Seconds; of logs, as they count them."""
 
 
+class Stand(NamedTuple):
+    """From where an episode is seen, throughout it."""
+
+    left: float
+    turn: float
+    """Metres and radians to the left of the ego's own place."""
+    scale: float
+    mirrored: bool
+    """Whether left and right are exchanged."""
+
+
 Look = Callable[[], Moment]
 """Makes a moment that has been reached: most may be passed over."""
 
+TURNED = 0.25
+"""Share of varied episodes that are seen by a rig turned any way: an ego's own lane always leads ahead."""
 UNKNOWN = (math.nan, math.nan, math.nan)
 
 
 def live_takes(
-    maps: Sequence[str], density: str, weather: Sequence[str], episodes: int, seed: int, purpose: str
+    maps: Sequence[str],
+    density: str,
+    weather: Sequence[str],
+    episodes: int,
+    seed: int,
+    purpose: str,
 ) -> list[Take]:
     """So many episodes, maps and kinds of weather taking turns. A map's routes are the same in any weather."""
     takes = []
@@ -87,7 +108,8 @@ class Episodes:
     """Plays takes. Environments are made when they are needed and kept.
 
     A live episode is driven by the autopilot, and seen from a little beside its place: see `perception.frames.SWAY`.
-    The shift stays the same throughout an episode, as if the rig were mounted so.
+    The shift stays the same throughout an episode, as if the rig were mounted so; as do size, turn and mirroring of
+    those that are `varied`.
     """
 
     recipe: Recipe
@@ -125,28 +147,52 @@ class Episodes:
 
     def _driven(self, take: Take) -> Iterator[Look]:
         env = self._environment(take)
-        rng = np.random.default_rng(derive_seed(take.seed, "sway"))
-        sway = float(rng.uniform(-SWAY[0], SWAY[0])), float(rng.uniform(-SWAY[1], SWAY[1]))
+        stand = self._stand(take)
         observation, _ = env.reset(seed=take.seed)
         time, done = 0.0, False
         while not done:
             now = observation
-            yield lambda: self._live(env, now, sway, time)  # noqa: B023 - made before the next step, or never
+            yield lambda: self._live(env, now, stand, time)  # noqa: B023 - made before the next step, or never
             observation, _, terminated, truncated, info = env.step(env.unwrapped.autopilot())
             time, done = info["record"]["time"], terminated or truncated
 
-    def _live(self, env: Any, observation: dict[str, NDArray[Any]], sway: tuple[float, float], time: float) -> Moment:
+    def _stand(self, take: Take) -> Stand:
+        rng = np.random.default_rng(derive_seed(take.seed, "stand"))
+        left, turn = float(rng.uniform(-SWAY[0], SWAY[0])), float(rng.uniform(-SWAY[1], SWAY[1]))
+        if not take.varied:
+            return Stand(left, turn, 1.0, False)
+        if rng.random() < TURNED:
+            turn = float(rng.uniform(-np.pi, np.pi))
+        mirrored = bool(rng.random() < 0.5) and self._mirror is not None
+        return Stand(left, turn, float(rng.choice(SCALES)), mirrored)
+
+    @cached_property
+    def _rig(self) -> Rig:
+        cls, config = configured("simulator", self.recipe.simulator)
+        rig: Rig = cls(config).rig(self.recipe.observation)
+        return rig
+
+    @cached_property
+    def _mirror(self) -> list[int] | None:
+        found = mirrored_cameras(self._rig)
+        return None if found is None else list(found)
+
+    def _live(self, env: Any, observation: dict[str, NDArray[Any]], stand: Stand, time: float) -> Moment:
         world = env.unwrapped
         x, y, heading = world.pose()
         if hasattr(world, "look_from"):
-            left, turn = sway
-            images, depth, classes, bev = world.look_from(0.0, left, turn, 1.0)
+            left = stand.left
+            images, depth, classes, bev = world.look_from(0.0, left, stand.turn, stand.scale)
             x, y = x - math.sin(heading) * left, y + math.cos(heading) * left
-            heading += turn
+            heading += stand.turn
         else:
             images, bev = observation["images"].copy(), world.bev_semantics()
             depth, classes = world.camera_truth()
-        return Moment(images, bev, self._seen(depth, classes, bev), (x, y, heading), time)
+        seen = self._seen(depth, classes, bev)
+        if stand.mirrored and self._mirror is not None:
+            # Where it is in the world is left as it is: nobody asks for it then.
+            images, bev, seen = images[self._mirror, ..., ::-1], bev[:, ::-1], seen[:, ::-1]
+        return Moment(images, bev, seen, (x, y, heading), time)
 
     def _logged(self, path: Path) -> Iterator[Look]:
         log = open_log(path, self.mapping)
@@ -177,9 +223,7 @@ class Episodes:
             log.close()
 
     def _seen(self, depth: NDArray[np.float32], classes: NDArray[np.uint8], bev: NDArray[np.uint8]) -> Any:
-        if self._sight is None:
-            cls, config = configured("simulator", self.recipe.simulator)
-            self._sight = Sight(cls(config).rig(self.recipe.observation))
+        self._sight = self._sight or Sight(self._rig)
         return self._sight(depth, classes, bev)
 
     def _same_recipe(self) -> str:

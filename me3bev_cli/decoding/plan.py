@@ -22,7 +22,7 @@ class Plan:
     density: str
     weather: tuple[str, ...]
     """Of live episodes; they take turns."""
-    episodes: int = 20
+    episodes: int = 40
     """Live episodes; a fifth is held out."""
     logs: Path | None = None
     """Learn from these in place of live episodes."""
@@ -31,6 +31,9 @@ class Plan:
     sources: tuple[str, ...] = (U_BEV,)
     untrained: bool = True
     """Whether an untrained encoder is decoded beside it."""
+    varied: bool = True
+    """Whether live episodes that are learned from are seen in other sizes, mirrored and turned: one town alone has
+    roads of one width."""
     steps: int = 1000
     batch: int = 8
     every: int = 4

@@ -159,7 +159,8 @@ def scenes_of(policy: Policy, plan: Plan) -> Scenes:
     if len(takes) < 2:
         raise UserError("decoding needs at least two episodes: one to learn from, one to score on")
     spared = max(1, len(takes) // 5)
-    return Scenes(player, takes[spared:], takes[:spared])
+    learned = [take._replace(varied=plan.varied and take.log is None) for take in takes[spared:]]
+    return Scenes(player, learned, takes[:spared])
 
 
 def _train(

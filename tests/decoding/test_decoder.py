@@ -36,12 +36,12 @@ def test_a_file_that_is_not_resnets_is_refused(tmp_path: Path, content: bytes | 
         torch.save({"layer1.0.conv1.weight": torch.zeros(3)}, bad)
     else:
         bad.write_bytes(content)
-    with pytest.raises(UserError, match="--pretrained: .* does not hold ResNet-18 weights"):
+    with pytest.raises(UserError, match=r"--pretrained: .* does not hold ResNet-18 weights"):
         resnet_stages(str(bad))
 
 
 def test_a_missing_file_is_told() -> None:
-    with pytest.raises(UserError, match="there are no weights at 'no/where.pt'"):
+    with pytest.raises(UserError, match=r"there are no weights at 'no/where\.pt'"):
         resnet_stages("no/where.pt")
 
 
