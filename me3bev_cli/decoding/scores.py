@@ -64,18 +64,3 @@ class Tally:
             if self.counts[mask].any()
             for name, value in self.iou(mask).items()
         ]
-
-
-def score_rows(
-    truth: Classes, decoded: Classes, source: str, seen: NDArray[np.bool_] | None = None
-) -> list[dict[str, object]]:
-    """A row per mask and class, with its IoU, of maps (N, 200, 200)."""
-    tally = Tally()
-    tally.add(truth, decoded, seen)
-    return tally.rows(source)
-
-
-def most_frequent(truth: Classes) -> Classes:
-    """The trivial baseline: the most frequent class of each cell (200, 200) over N maps."""
-    counts = np.stack([(truth == index).sum(0) for index in range(len(BEV_CLASSES))])
-    return counts.argmax(0).astype(np.uint8)
