@@ -17,6 +17,9 @@ SHOWN = (
     "waypoint_distance", "timesteps",
 )  # fmt: skip
 """The paper's seven, and beside them what its score leaves out."""
+CROWDED = 40
+"""With more bars than this a chart is drawn larger, and without those who need no picture."""
+PLAIN = ("idle", "random", "untrained")
 FILLED = 0.84
 """Share of a group's room that its bars take."""
 
@@ -27,6 +30,18 @@ class Picture:
 
     caption: str
     svg: Markup
+
+
+def crowded(suite: Suite) -> bool:
+    """Whether there are many bars."""
+    return len(suite.methods) * len(suite.maps) > CROWDED
+
+
+def drawn(suite: Suite) -> list[tuple[str, int]]:
+    """Label and number of the methods that have bars."""
+    numbered = [(method, number) for number, method in enumerate(suite.methods)]
+    some = [(m.label, n) for m, n in numbered if not (crowded(suite) and m.about.get("driver") in PLAIN)]
+    return some or [(method.label, number) for method, number in numbered]
 
 
 def bar_charts(suite: Suite, density: str) -> list[Picture]:
@@ -45,17 +60,18 @@ def _chart(suite: Suite, density: str, metric: str) -> Markup:
     label = f"{title(metric)} by map and method, {density} density"
     chart = Chart((0.0, float(len(places))), scale(metric, rows), label, UNTITLED)
     chart.axes(x_ticks=False)
-    width = FILLED / len(suite.methods)
+    methods = drawn(suite)
+    width = FILLED / len(methods)
     for group, place in enumerate(places):
         chart.name(group + 0.5, "mean" if place == AVERAGE else _short(place, len(places)))
-        for number, method in enumerate(suite.methods):
-            row = suite.row(method.label, density, metric, place)
+        for order, (name, number) in enumerate(methods):
+            row = suite.row(name, density, metric, place)
             if row is None or math.isnan(row.mean):
                 continue
-            left = group + (1 - FILLED) / 2 + number * width
-            chart.bar(left, left + 0.92 * width, row.mean, number, f"{method.label}, {place}: {whole(row)}")
+            left = group + (1 - FILLED) / 2 + order * width
+            chart.bar(left, left + 0.92 * width, row.mean, number, f"{name}, {place}: {whole(row)}")
             if not math.isnan(row.low):
-                chart.whisker(left + 0.46 * width, row.low, row.high)
+                chart.whisker(left + 0.46 * width, row.low, row.high, caps=not crowded(suite))
     return chart.svg()
 
 

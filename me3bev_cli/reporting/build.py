@@ -35,6 +35,8 @@ from me3bev_cli.reporting.suites import Suite, suites
 from me3bev_cli.reporting.summary import beside, cards, leading
 
 PAGE, DATA, CLIPS, STAGE = "index.html", "report.json", "clips", ".report.part"
+NAMED = 4
+"""So many methods are named in a title."""
 KIND = "me3bev report"
 """In the data file: whose folder it is."""
 
@@ -108,12 +110,13 @@ def _contents(
 ) -> tuple[dict[str, Any], str]:
     """The data and the page."""
     methods = list(dict.fromkeys(method.label for suite in found for method in leading(suite)))
-    title = title or f"Evaluation of {', '.join(methods)}"
+    given = title
+    title = title or f"Evaluation of {', '.join(methods) if len(methods) <= NAMED else f'{len(methods)} methods'}"
     learned, speed = curves(sources.runs), pareto(found, sources.latency)
     runs, keys, faulty = _recipes(sources.runs)
     words = [
         *("--latency " + shlex.quote(str(path)) for path, _ in sources.latency),
-        *(["--title", shlex.quote(title)] if title else []),
+        *(["--title", shlex.quote(given)] if given else []),
     ]
     steps: list[Step] = [
         *map(trained, sources.runs), *map(evaluated, sources.evaluations), *(timed(*one) for one in sources.latency),
@@ -165,7 +168,8 @@ def _suite(suite: Suite) -> dict[str, Any]:
     return {
         "title": suite.title,
         "about": suite.about,
-        "methods": [method.label for method in suite.methods],
+        "legend": [(method.label, number) for number, method in enumerate(suite.methods)],
+        "crowded": bars.crowded(suite),
         "cards": cards(suite),
         "beside": beside(suite),
         "head": tables.method_table(suite, tables.HEAD, f"Driving, {place}"),
@@ -182,6 +186,7 @@ def _block(suite: Suite, density: str) -> dict[str, Any]:
     shown = [name for name in bars.SHOWN if any(row.metric == name for row in suite.rows)]
     return {
         "title": title,
+        "legend": bars.drawn(suite),
         "bars": bars.bar_charts(suite, density),
         "table": tables.map_table(suite, density, shown),
     }

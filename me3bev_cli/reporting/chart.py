@@ -16,7 +16,7 @@ WIDTH, HEIGHT = 380, 250
 LEFT, RIGHT, TOP, BOTTOM = 46, 10, 12, 40
 UNTITLED = 24
 """The room below an axis that has no title."""
-SERIES = 8
+SERIES = 12
 """Colours that the page has for series."""
 
 Point = tuple[float, float]
@@ -39,6 +39,11 @@ def number_text(value: float) -> str:
         if abs(value) >= size:
             return f"{value / size:g}{letter}"
     return f"{round(value, 10):g}"
+
+
+def colour(series: int) -> str:
+    """The class that gives a series its colour; beyond the page's colours they come again, paler."""
+    return f"s{series % SERIES}" + (" again" if series >= SERIES else "")
 
 
 @dataclass
@@ -91,20 +96,20 @@ class Chart:
         x0, y0 = self.at(left, min(max(0.0, self.y[0]), self.y[1]))
         x1, y1 = self.at(right, value)
         self._add(
-            '<rect class="fill s{}" x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{:.1f}"><title>{}</title></rect>',
-            series % SERIES, x0, min(y0, y1), x1 - x0, max(0.8, abs(y1 - y0)), title,
+            '<rect class="fill {}" x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{:.1f}"><title>{}</title></rect>',
+            colour(series), x0, min(y0, y1), x1 - x0, max(0.8, abs(y1 - y0)), title,
         )  # fmt: skip
 
-    def whisker(self, x: float, low: float, high: float, kind: str = "whisker") -> None:
+    def whisker(self, x: float, low: float, high: float, *, caps: bool = True) -> None:
         """An interval, upright."""
         (x0, y0), (_, y1) = self.at(x, low), self.at(x, high)
-        path = f"M{x0:.1f} {y0:.1f}V{y1:.1f}M{x0 - 2:.1f} {y0:.1f}h4M{x0 - 2:.1f} {y1:.1f}h4"
-        self._add('<path class="{}" d="{}"/>', kind, path)
+        ends = f"M{x0 - 2:.1f} {y0:.1f}h4M{x0 - 2:.1f} {y1:.1f}h4" if caps else ""
+        self._add('<path class="whisker" d="M{:.1f} {:.1f}V{:.1f}{}"/>', x0, y0, y1, ends)
 
-    def whisker_across(self, y: float, low: float, high: float, kind: str = "whisker") -> None:
+    def whisker_across(self, y: float, low: float, high: float) -> None:
         """An interval, level."""
         (x0, y0), (x1, _) = self.at(low, y), self.at(high, y)
-        self._add('<path class="{}" d="M{:.1f} {:.1f}H{:.1f}"/>', kind, x0, y0, x1)
+        self._add('<path class="whisker" d="M{:.1f} {:.1f}H{:.1f}"/>', x0, y0, x1)
 
     def line(self, points: Sequence[Point], kind: str) -> None:
         """A line through points, of the classes `kind`."""
@@ -116,12 +121,12 @@ class Chart:
         upper = [self.at(a, b) for a, b in zip(x, high, strict=True)]
         lower = [self.at(a, b) for a, b in zip(x, low, strict=True)]
         words = " ".join(f"{a:.1f},{b:.1f}" for a, b in (*upper, *reversed(lower)))
-        self._add('<polygon class="band s{}" points="{}"/>', series % SERIES, words)
+        self._add('<polygon class="band {}" points="{}"/>', colour(series), words)
 
     def dot(self, x: float, y: float, series: int, title: str, *, hollow: bool = False) -> None:
         """A point; another shape for each lap of colours."""
         a, b = self.at(x, y)
-        kind = f"dot {'hollow' if hollow else 'fill'} s{series % SERIES}"
+        kind = f"dot {'hollow' if hollow else 'fill'} {colour(series)}"
         if series < SERIES:
             self._add('<circle class="{}" cx="{:.1f}" cy="{:.1f}" r="5"><title>{}</title></circle>', kind, a, b, title)
         else:

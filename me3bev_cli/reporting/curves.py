@@ -10,7 +10,7 @@ from typing import Any
 from me3bev_cli.errors import UserError
 from me3bev_cli.recipe_diff import run_recipe
 from me3bev_cli.reporting.bars import Picture
-from me3bev_cli.reporting.chart import SERIES, Chart
+from me3bev_cli.reporting.chart import Chart, colour
 from me3bev_cli.training.best import SCORE
 from me3bev_cli.training.convergence import Group, document, groups, reached, sentences
 from me3bev_cli.training.curve import WINDOW, read_metrics
@@ -24,8 +24,8 @@ class Curves:
     """What there is to say of the trainings."""
 
     pictures: list[Picture] = field(default_factory=list)
-    legend: list[str] = field(default_factory=list)
-    """A name per line, in the order of their colours."""
+    legend: list[tuple[str, int]] = field(default_factory=list)
+    """Name and number of each line."""
     sentences: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     data: dict[str, Any] = field(default_factory=dict)
@@ -46,7 +46,7 @@ def curves(runs: Sequence[Path]) -> Curves:
     found.left_out += [f"{run}: no update has a reward" for run in readable if run not in told]
     if not drawn:
         return found
-    found.legend = [_name(group) for group in drawn]
+    found.legend = [(_name(group), number) for number, group in enumerate(drawn)]
     found.sentences = [line.strip() for group in drawn for line in sentences(group)]
     found.data = document(drawn, WINDOW)
     several = any(len(group.curves) > 1 for group in drawn)
@@ -74,13 +74,13 @@ def _rewards(drawn: Sequence[Group]) -> Any:
     chart = Chart((0.0, last or 1.0), (low, high if high > low else low + 1.0), "Reward per step against steps")
     chart.axes("environment steps", "reward per step")
     for number, group in enumerate(drawn):
-        colour = f"s{number % SERIES}{' dashed' if number >= SERIES else ''}"
+        kind = colour(number)
         for curve in group.curves:
             fine = curve.smooth if len(group.curves) > 1 else curve.reward
-            chart.line(_thinned(curve.steps.tolist(), fine.tolist()), f"line thin {colour}")
+            chart.line(_thinned(curve.steps.tolist(), fine.tolist()), f"line thin {kind}")
         if len(group.curves) > 1:
             chart.band(group.steps.tolist(), group.low.tolist(), group.high.tolist(), number)
-        chart.line(_thinned(group.steps.tolist(), group.mean.tolist()), f"line {colour}")
+        chart.line(_thinned(group.steps.tolist(), group.mean.tolist()), f"line {kind}")
         where = reached(group.steps, group.mean)
         if where.step is not None:
             at = int((group.steps >= where.step).argmax())
@@ -112,7 +112,7 @@ def _score_chart(lines: Sequence[tuple[int, list[tuple[float, float]]]]) -> Any:
     chart = Chart((0.0, last or 1.0), (0.0, 100.0), "Driving score of periodic evaluations against steps")
     chart.axes("environment steps", "driving score")
     for number, points in lines:
-        chart.line(points, f"line s{number % SERIES}{' dashed' if number >= SERIES else ''}")
+        chart.line(points, f"line {colour(number)}")
         for steps, score in points:
             chart.dot(steps, score, number, f"step {steps:,.0f}: {score:.1f}")
     return chart.svg()

@@ -91,20 +91,22 @@ def tell_failures(suites: Sequence[Suite], each: int, stage: Path, told: Callabl
 
 
 def _read(suite: Suite) -> _Logged:
-    found = _Logged()
+    found, without = _Logged(), dict[Path, list[str]]()
     for method in leading(suite):
         logs, identity = method.evaluation.logs, method.about.get("identity")
         if logs is None or not identity:
-            found.warnings.append(
-                f"failures of {method.label} are not shown: {method.evaluation.folder} has no logs that can be driven "
-                "again; an evaluation by this version of me3bev has."
-            )
+            without.setdefault(method.evaluation.folder, []).append(method.label)
             continue
         there = kept(logs, method.name)
         found.warnings += [f"{sentence}; the gallery leaves it out." for sentence in there.lost]
         inside = [e for e in there.episodes if e.map in suite.maps and e.density in suite.densities]
         found.episodes += [replace(episode, driver=method.label) for episode in inside]
         found.methods[method.label] = method
+    found.warnings += [
+        f"failures of {', '.join(labels)} are not shown: {folder} has no logs that can be driven again, as "
+        "evaluations by this version of me3bev have."
+        for folder, labels in without.items()
+    ]
     return found
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from jinja2 import BaseLoader, Environment, StrictUndefined, TemplateNotFound
 from markupsafe import Markup
 
-from me3bev_cli.reporting.chart import SERIES
+from me3bev_cli.reporting.chart import colour
 
 
 class _Parts(BaseLoader):
@@ -31,6 +31,6 @@ def render(context: Mapping[str, Any]) -> str:
     environment = Environment(
         loader=_Parts(), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["colour"] = lambda number: f"s{number % SERIES}"
+    environment.filters["colour"] = colour
     template = environment.get_template("page.html")
     return template.render(style=Markup(_text("style.css")), script=Markup(_text("script.js")), **context)

@@ -58,10 +58,10 @@ def test_a_chart_has_its_ends_where_its_axes_end() -> None:
     chart = Chart((0.0, 10.0), (0.0, 100.0), "a <b>")
     assert chart.at(0, 0) == (LEFT, HEIGHT - BOTTOM)
     assert chart.at(10, 100) == (WIDTH - RIGHT, TOP)
-    chart.bar(0, 5, 50, 9, 'say "x" & y')
+    chart.bar(0, 5, 50, 13, 'say "x" & y')
     svg = str(chart.svg())
-    # Half the room is 163 x 99 units.
-    assert 'class="fill s1" x="46.0" y="111.0" width="162.0" height="99.0"' in svg
+    # Half the room is 162 x 99 units.
+    assert 'class="fill s1 again" x="46.0" y="111.0" width="162.0" height="99.0"' in svg
     assert "say &#34;x&#34; &amp; y" in svg
     assert 'aria-label="a &lt;b&gt;"' in svg
     assert "<b>" not in svg
@@ -102,7 +102,7 @@ def test_cards_and_sentences_are_of_the_policies(tmp_path: Path) -> None:
     ]  # fmt: skip
     (suite,) = suites([evaluation(tmp_path / "a", "one", 60.0, comparisons=told)])
     (card,) = cards(suite)
-    assert (card.name, card.score, card.ends) == ("one", "60.0", "57.0 to 63.0")
+    assert (card.name, card.scores) == ("one", [("low density", "60.0", "57.0 to 63.0")])
     assert beside(suite) == ["Driving score of drivers to compare with, low density: autopilot 95.0."]
     table = method_table(suite, ("driving_score", "comfort"), "Driving")
     assert [column.text for column in table.columns] == ["method", "driving score ↑"]
