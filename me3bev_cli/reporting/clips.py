@@ -127,7 +127,7 @@ def compose(instant: Instant, failure: Failure, cameras: Sequence[str]) -> Pictu
     height = _height(len(cameras))
     picture = np.full((height, WIDTH, 3), NIGHT, np.uint8)
     record = instant.record
-    left = (failure.step - instant.step) / 10
+    left = round(float(failure.episode["time"][failure.step]) - record["time"], 3)
     when = "now" if left == 0 else f"in {left:.1f} s" if left > 0 else f"{-left:.1f} s ago"
     canvas.write(picture, (8, _HEADER / 2), f"{failure.episode.map}  {record['time']:.1f} s", 15, TEXT, anchor="lm")
     canvas.write(

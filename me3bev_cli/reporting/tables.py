@@ -105,18 +105,15 @@ def map_table(suite: Suite, density: str, metrics: Sequence[str]) -> Table:
 
 def published_table(suite: Suite) -> Table | None:
     """The paper's own figures, without intervals, which nobody has published."""
-    rows = [row for row in suite.published if row.map == suite.whole]
-    shown = list(dict.fromkeys(row.metric for row in rows))
-    if not rows:
+    if not suite.published:
         return None
-    found = {(row.method, row.density, row.metric): row for row in rows}
+    shown = list(dict.fromkeys(row.metric for row in suite.published))
+    found = {(row.method, row.density, row.map, row.metric): row for row in suite.published}
+    cells = dict.fromkeys((row.method, row.density, row.map) for row in suite.published)
     lines = [
-        [Cell(method, method), Cell(density, density), *(_cell(found.get((method, density, m))) for m in shown)]
-        for density in suite.densities
-        for method in dict.fromkeys(row.method for row in rows)
-        if any((method, density, m) in found for m in shown)
+        [*(Cell(word, word) for word in cell), *(_cell(found.get((*cell, name))) for name in shown)] for cell in cells
     ]
-    columns = [Column("method", numeric=False), Column("density", numeric=False), *map(_column, shown)]
+    columns = [*(Column(word, numeric=False) for word in ("method", "density", "map")), *map(_column, shown)]
     return Table("Published results in CARLA", columns, lines)
 
 

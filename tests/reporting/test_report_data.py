@@ -14,6 +14,7 @@ import pytest
 from episodes import episode
 
 from me3bev_cli.evaluation.episode import Episode
+from me3bev_cli.evaluation.published import published_rows
 from me3bev_cli.evaluation.summary import Row
 from me3bev_cli.reporting.chart import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Chart, number_text, tick_values
 from me3bev_cli.reporting.failures import chosen, counted, failures
@@ -22,7 +23,7 @@ from me3bev_cli.reporting.scatter import pareto
 from me3bev_cli.reporting.sources import Evaluation, read_evaluation
 from me3bev_cli.reporting.suites import Suite, suites
 from me3bev_cli.reporting.summary import beside, cards
-from me3bev_cli.reporting.tables import method_table
+from me3bev_cli.reporting.tables import method_table, published_table
 
 NAN = math.nan
 
@@ -112,6 +113,20 @@ def test_cards_and_sentences_are_of_the_policies(tmp_path: Path) -> None:
     ]
     assert table.lines[1][1].mark_words == "better than one"
     assert table.quiet == [False, True]
+
+
+def test_published_figures_stand_apart_and_without_intervals(tmp_path: Path) -> None:
+    (plain,) = suites([evaluation(tmp_path / "a", "one", 60.0)])
+    assert published_table(plain) is None
+    rows = [asdict(row) for row in published_rows(["T1", "T2"], ["low"])]
+    rows = [{**row, "low": None, "high": None} for row in rows]
+    (suite,) = suites([evaluation(tmp_path / "b", "one", 60.0, published={"note": "", "rows": rows})])
+    table = published_table(suite)
+    assert table is not None
+    assert [column.text for column in table.columns[:3]] == ["method", "density", "map"]
+    assert [cell.text for cell in table.lines[0][:3]] == ["ME3-BEV (CARLA)", "low", "T1"]
+    assert {cell.note for line in table.lines for cell in line} == {""}
+    assert "ME3-BEV (CARLA)" not in [method.label for method in suite.methods]
 
 
 def bench(**median_ms: float) -> dict[str, Any]:
