@@ -52,7 +52,7 @@ def decode(
     checkpoint: Annotated[
         str | None, typer.Option(help="last, best or a name. Default: the decoder's, or last.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of frames and training.", min=0)] = 0,
+    seed: Annotated[int | None, typer.Option(help="Of frames and training. Default: 0.", min=0)] = None,
     out: Annotated[Path | None, typer.Option(help="Where the decoder is kept. Default: RUN/decode.")] = None,
     panel: Annotated[
         Path | None,

@@ -45,33 +45,33 @@ def print_result(result: Mapping[str, Any], console: Console) -> None:
     for source in sources:
         if source in (U_BEV, GRID):
             own = [row for row in rows if row["source"] == source]
-            console.print(_by_mask(own, f"{source}: IoU of {result['frames']} frames, mean over the maps ({_by(own)})"))
+            console.print(f"{source}: IoU of {result['frames']} frames, mean over the maps ({_by(own)})", _by_mask(own))
     beside = [source for source in sources if source not in (U_BEV, GRID)]
     if beside:
-        console.print(_baselines(rows, beside))
+        console.print("beside it: IoU, mean over the maps", _baselines(rows, beside))
     mask = "near"
-    console.print(_places(rows, "map", mask, result["maps"]))
+    console.print(f"by map: IoU, {mask}", _places(rows, "map", mask, result["maps"]))
     if len(result["weathers"]) > 1:
-        console.print(_places(result["by_weather"], "weather", mask, result["weathers"]))
+        console.print(f"by weather: IoU, {mask}", _places(result["by_weather"], "weather", mask, result["weathers"]))
 
 
 def _by(rows: Rows) -> str:
     return {"resnet": "by the decoder", "perception_head": "by the head of the perception stage"}[rows[0]["decoder"]]
 
 
-def _table(title: str) -> Table:
+def _table() -> Table:
     from rich import box
     from rich.table import Table
 
-    return Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
+    return Table(box=box.SIMPLE_HEAD)
 
 
 def _found(rows: Rows, *keys: str) -> dict[tuple[Any, ...], float]:
     return {tuple(row.get(key) for key in keys): row["iou"] for row in rows}
 
 
-def _by_mask(rows: Rows, title: str) -> Table:
-    table = _table(title)
+def _by_mask(rows: Rows) -> Table:
+    table = _table()
     found = _found([row for row in rows if row.get("map") == "mean"], "class", "mask")
     masks = [mask for mask in ALL_MASKS if any(key[1] == mask for key in found)]
     table.add_column("class")
@@ -83,7 +83,7 @@ def _by_mask(rows: Rows, title: str) -> Table:
 
 
 def _baselines(rows: Rows, sources: Sequence[str]) -> Table:
-    table = _table("beside it: IoU, mean over the maps")
+    table = _table()
     found = _found([row for row in rows if row.get("map") == "mean"], "source", "class", "mask")
     masks = ("all", "near")
     table.add_column("class")
@@ -96,7 +96,7 @@ def _baselines(rows: Rows, sources: Sequence[str]) -> Table:
 
 
 def _places(rows: Rows, axis: str, mask: str, places: Iterable[str]) -> Table:
-    table = _table(f"by {axis}: IoU, {mask}")
+    table = _table()
     found = _found([row for row in rows if row["mask"] == mask], "source", axis, "class")
     table.add_column(axis)
     table.add_column("source")
@@ -114,10 +114,10 @@ def print_comparison(result: Mapping[str, Any], console: Console) -> None:
     for note in result["notes"]:
         console.print(note)
     a, b = result["runs"]
-    table = _table(
-        f"u_BEV: IoU on {result['frames']} frames of {result['episodes']} episodes; B - A with its 95 % interval"
-    )
-    for name in ("mask", "class", "cells", f"A: {a}", f"B: {b}", "B - A", "interval"):
+    frames = f"{result['frames']} frames of {result['episodes']} episodes"
+    console.print(f"u_bev: IoU on {frames}; A: {a}, B: {b}; B - A with its 95 % interval over episodes")
+    table = _table()
+    for name in ("mask", "class", "cells", "A", "B", "B - A", "interval"):
         table.add_column(name, justify="left" if name in ("mask", "class") else "right")
     for row in result["rows"]:
         if row["mask"] != "remembered" and row["class"] not in (*BRIEF, "moving"):

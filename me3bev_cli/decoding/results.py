@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from me3bev_cli.decoding import evaluating
-from me3bev_cli.decoding.evaluating import Album, Scorer, Shot, Wanted
+from me3bev_cli.decoding.evaluating import Album, Scored, Scorer, Shot, Wanted
 from me3bev_cli.decoding.grid_log import Maps, copy_with_maps, topics_of
 from me3bev_cli.decoding.latents import Probe, Reader
 from me3bev_cli.decoding.moments import Episodes, Take, open_log
@@ -71,7 +71,7 @@ def score(
         "run": str(policy.run),
         "checkpoint": policy.identity["checkpoint"],
         "decoder": {key: decoders.about[key] for key in ("steps", "ended", "scores")},
-        "notes": _notes(decoders, scorer, takes),
+        "notes": _notes(decoders, scorer, scored),
         "frames": scored.of(next(iter(scored.counts[0]))).frames,
         "episodes": len(takes),
         "maps": [*dict.fromkeys(take.map for take in takes), "mean"],
@@ -82,14 +82,14 @@ def score(
     }
 
 
-def _notes(decoders: Decoders, scorer: Scorer, takes: Sequence[Take]) -> list[str]:
+def _notes(decoders: Decoders, scorer: Scorer, scored: Scored) -> list[str]:
     notes = [decoders.about["note"]] if decoders.about["note"] else []
     if scorer.head is not None:
         notes.append("grid: " + ("by the decoder; " if GRID in decoders.modules else "") + (
             "the head that the perception stage left stands beside it" if GRID in decoders.modules
             else "by the head that the perception stage left"
         ))  # fmt: skip
-    if any(take.log is not None for take in takes):
+    if not any(counts.told for own in scored.counts for counts in own.values()):
         notes.append("logs without --depth and --semantics do not tell which cells are seen")
     return notes
 

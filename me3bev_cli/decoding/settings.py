@@ -58,7 +58,7 @@ class Settings:
     untrained: bool | None = None
     overwrite: bool = False
     checkpoint: str | None = None
-    seed: int = 0
+    seed: int | None = None
     out: Path | None = None
     panel: Path | None = None
     frames: str = "worst"
@@ -92,7 +92,7 @@ class Settings:
         """
         kind, _, count = self.frames.partition(":")
         if kind in ("worst", "random") and (not count or (count.isdecimal() and 0 < int(count) <= 64)):
-            return Wanted(kind, int(count or 4), seed=self.seed)  # type: ignore[arg-type]
+            return Wanted(kind, int(count or 4), seed=self.seed or 0)  # type: ignore[arg-type]
         numbers = [part.strip() for part in self.frames.split(",")]
         if not all(part.isdecimal() for part in numbers):
             raise UserError(
@@ -114,10 +114,10 @@ class Settings:
             place = recipe.simulator
             usual = _weather(None, recipe, "training")
             short = {str(name) for stage in recipe.stages if (name := getattr(stage, "autocast", None)) is not None}
-            plan = Plan((place.map,), place.density, usual, autocast=min(short, default=None), seed=self.seed)
+            plan = Plan((place.map,), place.density, usual, autocast=min(short, default=None))
         changes: dict[str, Any] = {
             name: value
-            for name in ("steps", "batch", "every", "patience", "memory", "untrained")
+            for name in ("steps", "batch", "patience", "memory", "untrained")
             if (value := getattr(self, name)) is not None
         }
         if self.source is not None:
@@ -129,7 +129,9 @@ class Settings:
         return replace(plan, **changes)
 
     def _frames(self, recipe: Recipe) -> dict[str, Any]:
-        changes: dict[str, Any] = {}
+        changes: dict[str, Any] = {
+            name: value for name in ("every", "seed", "episodes") if (value := getattr(self, name)) is not None
+        }
         if self.logs is not None:
             changes |= {"logs": self.logs.resolve(), "mapping": self.mapping}
         if self.maps is not None:
@@ -138,8 +140,6 @@ class Settings:
             changes["density"] = _density(self.density, recipe)
         if self.weather is not None:
             changes["weather"] = _weather(self.weather, recipe, "training")
-        if self.episodes is not None:
-            changes["episodes"] = self.episodes
         return changes
 
 
@@ -231,7 +231,7 @@ def _scored_takes(policy: Policy, plan: Plan, given: Settings, evaluate: bool) -
         count = len(maps) * (given.episodes or EACH)
     else:
         maps, count = plan.maps, max(2, plan.episodes // 5, len(plan.maps))
-    return live_takes(maps, density, weather, count, given.seed, "score")
+    return live_takes(maps, density, weather, count, given.seed or 0, "score")
 
 
 def compare(runs: Sequence[Path], given: Settings, say: Callable[[str], None]) -> dict[str, Any]:
@@ -258,7 +258,7 @@ def compare(runs: Sequence[Path], given: Settings, say: Callable[[str], None]) -
         maps = _maps(given.maps or "all", recipe)
         weather = _weather(given.weather, recipe, "evaluation")
         count = len(maps) * (given.episodes or COMPARED)
-        takes = live_takes(maps, _density(given.density, recipe), weather, count, given.seed, "probe")
+        takes = live_takes(maps, _density(given.density, recipe), weather, count, given.seed or 0, "probe")
     try:
         return compare_policies(policies, decoders, player, takes, given.every or 4, say)
     finally:

@@ -66,7 +66,7 @@ def test_an_episode_is_animated(make_run_of: MakeRun, tmp_path: Path) -> None:
 
 
 def test_logs_are_decoded_and_copied_with_their_maps(
-    make_run_of: MakeRun, make_logs_of: MakeLogs, tmp_path: Path
+    make_run_of: MakeRun, make_logs_of: MakeLogs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = make_run_of()
     logs = make_logs_of(run)
@@ -84,6 +84,14 @@ def test_logs_are_decoded_and_copied_with_their_maps(
         assert LogFile(copy.path).metadata["me3bev.decoded"]["checkpoint"] == "step_000000064"
     stderr = _run(run, "--logs", logs, "--mcap", logs, code=2)
     assert "a copy cannot replace its log" in stderr
+    monkeypatch.setattr("me3bev_cli.decoding.grid_log.os.replace", _full_disk)
+    stderr = _run(run, "--logs", logs, "--mcap", tmp_path / "full", code=2)
+    assert "cannot be written: No space left on device" in stderr
+    assert not list((tmp_path / "full").iterdir())
+
+
+def _full_disk(*_: object) -> None:
+    raise OSError(28, "No space left on device")
 
 
 def test_a_vector_is_decoded_and_that_is_said(make_run_of: MakeRun) -> None:
