@@ -30,6 +30,7 @@ def bench_train(
     """
     import torch
 
+    from me3bev_cli.allocator import keep_freed_memory
     from me3bev_cli.bench.machine import machine
     from me3bev_cli.bench.train import measure
     from me3bev_cli.output import write_json
@@ -38,6 +39,7 @@ def bench_train(
 
     if threads is not None:
         torch.set_num_threads(threads)
+    keep_freed_memory()
     loaded = resolve_recipe(recipe, overrides or [])
     here = machine() | {"threads": torch.get_num_threads()}
     figures = measure(loaded, samples=samples, rounds=rounds, steps=steps, progress=_show)

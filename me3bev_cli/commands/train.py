@@ -90,6 +90,7 @@ def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None
 
     import torch
 
+    from me3bev_cli.allocator import keep_freed_memory
     from me3bev_cli.output import write_json
     from me3bev_cli.recipe_loading import dump
     from me3bev_cli.stopping import Stop
@@ -100,6 +101,7 @@ def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None
 
     if threads is not None:
         torch.set_num_threads(threads)
+    keep_freed_memory()
     stop = Stop()
     plan = [(stage.kind, stage.steps) for stage in recipe.stages]
     display = Display(sum(steps for _, steps in plan), len(plan), plan=plan)
