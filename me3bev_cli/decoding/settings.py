@@ -28,12 +28,15 @@ from me3bev_cli.decoding.store import Decoders
 from me3bev_cli.errors import UserError, unknown_name
 from me3bev_cli.evaluation.choice import choose_weather
 from me3bev_cli.evaluation.maps import parse_densities, parse_maps
+from me3bev_cli.output import write_json
 from me3bev_cli.pipeline.assemble import configured
 from me3bev_cli.recipe import Recipe
 from me3bev_cli.recording.reader import log_files
 from me3bev_cli.training.run import open_run, require_newest_run
 
 SOURCES = {U_BEV: (U_BEV,), GRID: (GRID,), "both": (U_BEV, GRID)}
+SCORES = "scores.json"
+"""In the decoder's folder: the last scores."""
 EACH, COMPARED = 4, 8
 """Episodes of each map that are scored, and compared, where nothing else is said."""
 
@@ -184,9 +187,10 @@ def decode(run: Path | None, given: Settings, evaluate: bool, say: Callable[[str
         if given.mcap is not None:
             for path in add_to_logs(policy, decoders, player, log_takes(log_files(_logs(given))), given.mcap):
                 say(f"log: {path}")
-        return score(
-            policy, decoders, player, takes, Asked(given.panel, given.wanted(), given.every or plan.every), say
-        )
+        asked = Asked(given.panel, given.wanted(), given.every or plan.every)
+        result = score(policy, decoders, player, takes, asked, say)
+        write_json(result, str(out / SCORES))
+        return result
     finally:
         player.close()
 

@@ -3,6 +3,7 @@
 RUN/decode/
     decoder.safetensors    the best weights of every decoder, and how they came about as metadata
     training.pt            read with weights_only; gone when the training is over
+    scores.json            the last scores
 """
 
 from __future__ import annotations

@@ -50,6 +50,7 @@ def test_a_run_is_decoded_scored_and_drawn(make_run_of: MakeRun, tmp_path: Path)
     assert again["maps"] == ["F1", "F2", "mean"]
     assert again["decoder"] == result["decoder"]
     assert again["frames"] == 6
+    assert json.loads((run / "decode" / "scores.json").read_text()) == again
 
 
 def test_a_decoder_that_lacks_is_trained_before_it_is_scored(make_run_of: MakeRun) -> None:
