@@ -62,6 +62,16 @@ class SimulatedStage(Block):
     checkpoint_every: int = Field(default=20_000, gt=0, description="environment steps")
 
 
+def _segments_fit(stage: PpoStage | ImitationStage) -> None:
+    """Raises ValueError where rollouts or minibatches are not made of whole segments."""
+    frames = stage.envs * stage.rollout
+    for name, size in (("rollout", stage.rollout), ("minibatch", stage.minibatch)):
+        if size % stage.segment:
+            raise ValueError(f"{name} {size} is not a multiple of segment {stage.segment}")
+    if stage.minibatch > frames:
+        raise ValueError(f"minibatch {stage.minibatch} is more than envs x rollout = {frames} frames")
+
+
 class PpoStage(SimulatedStage):
     """Proximal policy optimisation in the simulator."""
 
@@ -93,13 +103,7 @@ class PpoStage(SimulatedStage):
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> PpoStage:
-        frames = self.envs * self.rollout
-        if self.rollout % self.segment:
-            raise ValueError(f"rollout {self.rollout} is not a multiple of segment {self.segment}")
-        if self.minibatch % self.segment:
-            raise ValueError(f"minibatch {self.minibatch} is not a multiple of segment {self.segment}")
-        if self.minibatch > frames:
-            raise ValueError(f"minibatch {self.minibatch} is more than envs x rollout = {frames} frames")
+        _segments_fit(self)
         return self
 
 
@@ -135,13 +139,8 @@ class ImitationStage(SimulatedStage):
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> ImitationStage:
+        _segments_fit(self)
         frames = self.envs * self.rollout
-        if self.rollout % self.segment:
-            raise ValueError(f"rollout {self.rollout} is not a multiple of segment {self.segment}")
-        if self.minibatch % self.segment:
-            raise ValueError(f"minibatch {self.minibatch} is not a multiple of segment {self.segment}")
-        if self.minibatch > frames:
-            raise ValueError(f"minibatch {self.minibatch} is more than envs x rollout = {frames} frames")
         if self.pool < frames:
             raise ValueError(f"pool {self.pool} is less than one round, envs x rollout = {frames} frames")
         return self
