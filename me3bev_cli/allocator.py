@@ -1,7 +1,7 @@
-"""The C library's allocator, told to keep what training frees instead of giving it back to the system.
+"""The C library's allocator, told to keep what is freed instead of giving it back to the system.
 
-A gradient step takes and frees the same large tensors again and again; by default glibc gets each from the system anew,
-and the page faults take a quarter of the step.
+Every step of a network takes and frees the same large tensors; by default glibc gets each from the system anew, and the
+page faults take a quarter of the step.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
+from me3bev_cli.allocator import keep_freed_memory
 from me3bev_cli.errors import UserError
 
 THREAD_VARIABLES = (
@@ -118,6 +119,7 @@ def _serve(connection: Connection, function: Callable[[Any], Any], core: int | N
     if core is not None:
         with suppress(OSError):  # It may have been taken away meanwhile.
             os.sched_setaffinity(0, {core})
+    keep_freed_memory()
     # Stdout belongs to the command's results; libraries that greet there go to stderr.
     sys.stdout = sys.stderr
     os.dup2(2, 1)
