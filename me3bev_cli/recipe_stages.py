@@ -185,6 +185,10 @@ class PerceptionStage(SimulatedStage):
     tokens: float = Field(default=0.5, ge=0, description="weight of the same losses on a map made of the tokens alone")
     depth: float = Field(default=0.5, ge=0, description="weight of the depth loss, where there is depth to predict")
     mirror: bool = Field(default=True, description="mirror half of the frames, where the cameras stand symmetrically")
+    colours: float = Field(default=0.0, ge=0, le=1, description="how strongly each frame's colours are shifted")
+    stretch: float = Field(
+        default=0.0, ge=0, le=1, description="share of the frames whose grid and truth are stretched, if it can be"
+    )
     head_width: Width = Field(default=64, description="channels between the two layers of the segmentation head")
     autocast: Literal["bfloat16"] | None = Field(default=None, description="as in a ppo stage")
     held_out: int = Field(default=64, ge=0, description="frames of other episodes that are scored; 0: none")

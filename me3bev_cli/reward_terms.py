@@ -11,16 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from me3bev_cli.api import StepRecord
+from me3bev_cli.comfort_bounds import ACCELERATION, LATERAL, LONGITUDINAL_JERK
 
 LANE = 3.5
 """Metres: the width of a lane."""
-
-ACCELERATION = (-4.05, 2.40)
-"""m/s^2 along the heading: Bench2Drive's bounds of a comfortable drive."""
-LATERAL = 4.89
-"""m/s^2 to either side, as Bench2Drive."""
-JERK = 4.13
-"""m/s^3 along the heading, either way, as Bench2Drive."""
 
 Function = Callable[[StepRecord | None, StepRecord], float]
 """(the record of the step before, None at the first of an episode; the record of this step) -> the term's value."""
@@ -39,15 +33,15 @@ def lane_keeping(before: StepRecord | None, now: StepRecord) -> float:
 def comfort(before: StepRecord | None, now: StepRecord) -> float:
     """How far three quantities are beyond their bounds, as a share of the bound, each at most 1: -3 to 0.
 
-    - min(1, max(0, |q| / bound - 1)), summed over q: longitudinal acceleration (bounds -4.05 and 2.40 m/s^2), lateral
-    acceleration (4.89 m/s^2), longitudinal jerk (4.13 m/s^3): the change of acceleration since the step before over
-    the time between the two, 0 at an episode's first step.
+    - min(1, max(0, |q| / bound - 1)), summed over q: longitudinal acceleration, lateral acceleration, and longitudinal
+    jerk, which is the change of acceleration since the step before over the time between the two, 0 at an episode's
+    first step. The bounds are those of `comfort_bounds`.
     """
     pull = now["acceleration"]
     cost = _beyond(pull, ACCELERATION[0] if pull < 0 else ACCELERATION[1])
     cost += _beyond(now["lateral_acceleration"], LATERAL)
     if before is not None and now["time"] > before["time"]:
-        cost += _beyond((pull - before["acceleration"]) / (now["time"] - before["time"]), JERK)
+        cost += _beyond((pull - before["acceleration"]) / (now["time"] - before["time"]), LONGITUDINAL_JERK)
     return -cost
 
 
@@ -99,8 +93,9 @@ TERMS = {
     "comfort": Term(
         comfort,
         "share of the bound",
-        "- excess of longitudinal acceleration (-4.05 to 2.40 m/s2), lateral acceleration (4.89 m/s2) and longitudinal "
-        "jerk (4.13 m/s3) over the bound, as a share of it, each at most 1",
+        f"- excess of longitudinal acceleration ({ACCELERATION[0]:.2f} to {ACCELERATION[1]:.2f} m/s2), lateral "
+        f"acceleration ({LATERAL} m/s2) and longitudinal jerk ({LONGITUDINAL_JERK} m/s3) over the bound, as a share of "
+        "it, each at most 1",
     ),
     "speeding": Term(speeding, "m/s", "- speed above the limit"),
     "red_light": Term(red_light, "event", "-1 where a stop line is crossed on red"),

@@ -63,6 +63,11 @@ class SpatialPlugin(Protocol):
     `forward` may take a second, optional argument `calibration: Calibration | None = None`, on the images' device;
     without it the calibration is the rig's. A plugin whose `forward` has no such argument cannot be given one.
 
+    It may take another one by keyword, `stretch: Tensor | None = None`, (N, 2, X): for each row and column of the grid,
+    at their centres, the place where it is taken from, along x and y of `torch.nn.functional.grid_sample` (rows as y,
+    without `align_corners`), before anything on the grid is computed. A perception stage learns from grids that are
+    stretched so, together with their truth.
+
     A plugin that gives a `grid` has a class method `grid_spec(config, rig) -> GridSpec`, without allocating: it can be
     learned by segmentation. One that gives `depth_logits` has `depth_edges`, a tensor (bins + 1,) of the borders of its
     depth bins, metres along the optical axis.

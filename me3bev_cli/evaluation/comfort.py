@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from me3bev_cli import comfort_bounds
+
 Floats = NDArray[np.float64]
 
 SEGMENT = 20
@@ -14,12 +16,12 @@ WINDOW, ORDER = 7, 2
 
 
 BOUNDS = {
-    "longitudinal acceleration": (-4.05, 2.40),  # m/s^2
-    "lateral acceleration": (-4.89, 4.89),  # m/s^2
-    "jerk": (-8.37, 8.37),  # magnitude of the vector, m/s^3
-    "longitudinal jerk": (-4.13, 4.13),  # m/s^3
-    "yaw rate": (-0.95, 0.95),  # rad/s
-    "yaw acceleration": (-1.93, 1.93),  # rad/s^2
+    "longitudinal acceleration": comfort_bounds.ACCELERATION,
+    "lateral acceleration": (-comfort_bounds.LATERAL, comfort_bounds.LATERAL),
+    "jerk": (-comfort_bounds.JERK, comfort_bounds.JERK),
+    "longitudinal jerk": (-comfort_bounds.LONGITUDINAL_JERK, comfort_bounds.LONGITUDINAL_JERK),
+    "yaw rate": (-comfort_bounds.YAW_RATE, comfort_bounds.YAW_RATE),
+    "yaw acceleration": (-comfort_bounds.YAW_ACCELERATION, comfort_bounds.YAW_ACCELERATION),
 }
 """Open intervals that every frame of a comfortable segment stays in."""
 

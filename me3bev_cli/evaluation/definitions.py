@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from me3bev_cli import comfort_bounds as bounds
+
 HORIZON = 128
 """Steps of the paper's episodes."""
 
@@ -49,8 +51,10 @@ class Metric:
 
 _RATE, _EPISODE = "share of episodes", "per episode"
 _BOUNDS = (
-    "longitudinal acceleration in (-4.05, 2.40) m/s2, |lateral acceleration| < 4.89 m/s2, |jerk| < 8.37 m/s3, "
-    "|longitudinal jerk| < 4.13 m/s3, |yaw rate| < 0.95 rad/s and |yaw acceleration| < 1.93 rad/s2"
+    f"longitudinal acceleration in ({bounds.ACCELERATION[0]:.2f}, {bounds.ACCELERATION[1]:.2f}) m/s2, "
+    f"|lateral acceleration| < {bounds.LATERAL} m/s2, |jerk| < {bounds.JERK} m/s3, "
+    f"|longitudinal jerk| < {bounds.LONGITUDINAL_JERK} m/s3, |yaw rate| < {bounds.YAW_RATE} rad/s "
+    f"and |yaw acceleration| < {bounds.YAW_ACCELERATION} rad/s2"
 )
 
 _ALL = (

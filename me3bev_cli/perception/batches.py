@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from me3bev_cli.decoding.scores import NEAR
+from me3bev_cli.perception.augment import Change, changed, outside
 from me3bev_cli.perception.frames import Frames
 from me3bev_cli.perception.losses import cell_weights
-from me3bev_cli.perception.truth import classes_of, seen_in
+from me3bev_cli.perception.truth import CELLS, classes_of, seen_in
 from me3bev_cli.pipeline.transfer import to_device
 
 
@@ -29,6 +30,8 @@ class Batch(NamedTuple):
     """(B, 200, 200), how much each cell counts."""
     depth: Tensor
     """(B, C, bins, h, w), shares; no bins where depth is not learned."""
+    stretch: Tensor | None
+    """(B, 2, X), where the rows and columns of the grid are taken from, from -1 to 1; None: from where they are."""
 
 
 class Pool:
@@ -38,11 +41,12 @@ class Pool:
         size: frames, at most.
         mirror: the camera that stands in for each one in a mirrored frame; None: frames are not mirrored.
         hidden: weight of far cells out of sight.
+        grid: cells per side of the grid that may be stretched.
     """
 
-    def __init__(self, size: int, mirror: Sequence[int] | None, hidden: float) -> None:
-        self.size, self.hidden = size, hidden
-        self.mirror = None if mirror is None else list(mirror)
+    def __init__(self, size: int, mirror: Sequence[int] | None, hidden: float, grid: int) -> None:
+        self.size, self.hidden, self.grid = size, hidden, grid
+        self.mirror = [] if mirror is None else list(mirror)
         self.rounds: deque[list[Frames]] = deque()
         self._at: list[tuple[Frames, int]] = []
 
@@ -56,30 +60,38 @@ class Pool:
     def __len__(self) -> int:
         return len(self._at)
 
-    def batch(self, chosen: NDArray[np.int64], turned: NDArray[np.bool_], device: torch.device) -> Batch:
-        """Frames of the pool by number; those that are `turned` are mirrored, where that is possible."""
+    def batch(self, chosen: NDArray[np.int64], changes: Sequence[Change], device: torch.device) -> Batch:
+        """Frames of the pool by number, each after a change."""
         parts = []
-        for number, turn in zip(chosen, turned, strict=True):
+        for number, change in zip(chosen, changes, strict=True):
             frames, i = self._at[number]
-            frame = frames.images[i], frames.maps[i], frames.depth[i]
-            parts.append(mirrored(*frame, self.mirror) if turn and self.mirror is not None else frame)
+            parts.append(changed(frames.images[i], frames.maps[i], frames.depth[i], change, self.mirror))
         images, maps, depth = (np.stack(part) for part in zip(*parts, strict=True))
-        seen = to_device(seen_in(maps), device)
+        cells = cell_weights(to_device(seen_in(maps), device), self.hidden, NEAR)
         return Batch(
             images=to_device(images, device),
             truth=to_device(classes_of(maps), device).long(),
-            cells=cell_weights(seen, self.hidden, NEAR),
+            cells=cells * to_device(_inside(changes), device),
             depth=to_device(depth, device).float() / 255,
+            stretch=self._stretch(changes, device),
         )
+
+    def _stretch(self, changes: Sequence[Change], device: torch.device) -> Tensor | None:
+        if not any(change.stretch for change in changes):
+            return None
+        plain = np.tile((np.arange(self.grid) + 0.5) * 2 / self.grid - 1, (2, 1))
+        axes = [plain if change.stretch is None else change.stretch.sources(self.grid) for change in changes]
+        return to_device(np.array(axes, np.float32), device)
+
+
+def _inside(changes: Sequence[Change]) -> NDArray[np.bool_]:
+    """(B, 200, 200): cells whose truth is known."""
+    known = np.ones((len(changes), CELLS, CELLS), bool)
+    for cells, change in zip(known, changes, strict=True):
+        if change.stretch is not None:
+            cells[outside(change.stretch)] = False
+    return known
 
 
 def _count(drawn: list[Frames]) -> int:
     return sum(len(frames) for frames in drawn)
-
-
-Bytes = NDArray[np.uint8]
-
-
-def mirrored(images: Bytes, maps: Bytes, depth: Bytes, cameras: list[int]) -> tuple[Bytes, Bytes, Bytes]:
-    """A frame of the world with left and right exchanged."""
-    return images[cameras, ..., ::-1], maps[..., ::-1], depth[cameras, ..., ::-1]

@@ -56,7 +56,7 @@ class Learner:
     def _losses(self, batch: Batch) -> dict[str, Tensor]:
         stage = self.stage
         with nullcontext() if self.autocast is None else torch.autocast(self.device.type, self.autocast):
-            seen = self.model(batch.images, tokens=stage.tokens > 0)
+            seen = self.model(batch.images, tokens=stage.tokens > 0, stretch=batch.stretch)
         entropy, dice = segmentation_losses(seen.scores.float(), batch.truth, self.class_weights, batch.cells)
         losses = {"segmentation_loss": entropy, "dice_loss": dice}
         total = entropy + stage.dice * dice

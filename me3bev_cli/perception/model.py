@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from contextlib import nullcontext
 from pathlib import Path
@@ -61,9 +62,19 @@ class PerceptionModel(nn.Module):
         self.token_size = (tokens.rows, tokens.columns)
         self.sizes = {"channels": grid.channels, "rows": grid.rows, "columns": grid.columns, "width": width}
 
-    def forward(self, images: Tensor, tokens: bool = False) -> Seen:
-        """See the class; the head on the tokens is asked only where `tokens` says so."""
-        out = self.spatial(self.sensor.images({"images": images}))
+    @property
+    def stretches(self) -> bool:
+        """Whether the plugin can make its grid of a stretched one."""
+        return "stretch" in inspect.signature(self.spatial.forward).parameters
+
+    def forward(self, images: Tensor, tokens: bool = False, stretch: Tensor | None = None) -> Seen:
+        """See the class; the head on the tokens is asked only where `tokens` says so.
+
+        Args:
+            stretch: as `SpatialPlugin` has it.
+        """
+        pictures = self.sensor.images({"images": images})
+        out = self.spatial(pictures) if stretch is None else self.spatial(pictures, stretch=stretch)
         token_scores = None
         if tokens:
             token_scores = self.token_head(out.tokens.transpose(1, 2).unflatten(2, self.token_size))

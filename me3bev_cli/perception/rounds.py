@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from me3bev_cli.perception.augment import Change, draw_change
 from me3bev_cli.perception.frames import Job
 from me3bev_cli.seeding import derive_seed
 
@@ -19,19 +20,31 @@ SPARED = 10
 """One log in so many is held out to be scored on, where there are two at least."""
 
 
+class Minibatch(NamedTuple):
+    """What a gradient step is made of: B frames of the pool by number, and what is done to each."""
+
+    chosen: NDArray[np.int64]
+    changes: list[Change]
+
+
 class Rounds:
     """Makes the jobs of rounds and chooses minibatches.
 
     Args:
         names: what seeds are derived from.
         map: where the stage takes place.
+        mirrors: whether frames can be mirrored.
+        stretches: whether the grid can be stretched.
 
     Raises:
         LogError: the stage learns from logs, and there are none.
     """
 
-    def __init__(self, stage: PerceptionStage, names: tuple[str | int, ...], map: str) -> None:
+    def __init__(
+        self, stage: PerceptionStage, names: tuple[str | int, ...], map: str, mirrors: bool, stretches: bool
+    ) -> None:
         self.stage, self.names, self.map = stage, names, map
+        self.mirrors, self.stretches = mirrors, stretches
         logs: Sequence[Path] = ()
         if stage.logs is not None:
             from me3bev_cli.recording.reader import episode_files
@@ -75,8 +88,8 @@ class Rounds:
         steps = stage.every * -(-stage.held_out // count)
         return [Job((*self.names, "held out", k), steps, self.map) for k in range(count)]
 
-    def minibatches(self, number: int, kept: int, pool: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Which frames of the pool each gradient step of a round takes, and which of them are mirrored: (U, B).
+    def minibatches(self, number: int, kept: int, pool: int) -> list[Minibatch]:
+        """What each gradient step of a round is made of.
 
         Args:
             number: of the round.
@@ -86,5 +99,11 @@ class Rounds:
         stage = self.stage
         updates = max(1, round(stage.uses * kept / stage.minibatch))
         rng = np.random.default_rng(derive_seed(*self.names, "minibatches", number))
-        shape = (updates, stage.minibatch)
-        return rng.integers(0, pool, shape), rng.random(shape) < 0.5
+        stretch = stage.stretch if self.stretches else 0.0
+        return [
+            Minibatch(
+                rng.integers(0, pool, stage.minibatch),
+                [draw_change(rng, self.mirrors, stage.colours, stretch) for _ in range(stage.minibatch)],
+            )
+            for _ in range(updates)
+        ]

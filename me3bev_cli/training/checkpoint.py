@@ -10,13 +10,11 @@ step_000012288/
 from __future__ import annotations
 
 import json
-import os
 import shutil
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from safetensors import SafetensorError
@@ -29,15 +27,14 @@ from me3bev_cli.errors import CheckpointError, RunError
 from me3bev_cli.pipeline.assemble import build_network
 from me3bev_cli.pipeline.network import Network
 from me3bev_cli.training.alarms import disk_error
-from me3bev_cli.training.best import BEST, find_best
+from me3bev_cli.training.best import BEST, FIGURES, find_best
+from me3bev_cli.training.folders import Write, clear_folders, write_folder
 
 if TYPE_CHECKING:
     from me3bev_cli.recipe import Recipe
 
 WEIGHTS, TRAINER, PROGRESS, RECIPE = "policy.safetensors", "trainer.pt", "progress.json", "recipe.yaml"
 FOLDER = "checkpoints"
-PART, OLD = ".part", ".old"
-"""Endings of hidden folders: a checkpoint that is being written, and one that is about to be replaced."""
 
 
 @dataclass
@@ -69,70 +66,53 @@ def save_checkpoint(
         DiskError: it cannot be written; nothing is left of it, and older ones stand.
     """
     final = run / FOLDER / f"step_{progress.total_steps:09d}"
-    temporary = final.with_name(f".{final.name}{PART}")
+    contents = {TRAINER: lambda file: torch.save(trainer, file), **policy_files(weights, recipe, progress)}
     try:
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
-        contiguous = {key: value.contiguous() for key, value in weights.items()}
-        _write(temporary / WEIGHTS, lambda file: file.write(save(contiguous)))
-        _write(temporary / TRAINER, lambda file: torch.save(trainer, file))
-        _write(temporary / RECIPE, lambda file: file.write(recipe_loading.dump(recipe).encode()))
-        _write(temporary / PROGRESS, lambda file: file.write(json.dumps(asdict(progress), indent=1).encode()))
-        _sync(temporary)
-        _replace(temporary, final)
+        write_folder(final, contents)
     except OSError as error:
-        shutil.rmtree(temporary, ignore_errors=True)
         found = checkpoints(run)
         raise disk_error(final, error, run, found[-1] if found else None) from error
     return final
 
 
-def _write(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
-    """Write a file and wait until the disk has it."""
-    with open(path, "wb") as file:
-        try:
-            write(file)
-        except RuntimeError as error:
-            # torch hides what the file said behind an error of its own.
-            if isinstance(error.__context__, OSError):
-                raise error.__context__ from None
-            raise
-        file.flush()
-        os.fsync(file.fileno())
+def save_best(run: Path, network: Network, recipe: Recipe, progress: Progress, figures: Mapping[str, Any]) -> Path:
+    """Keep the network as the best one so far, then let go of the one before; returns its folder.
+
+    Args:
+        figures: of the evaluation that it was chosen by.
+
+    Raises:
+        DiskError: it cannot be written; nothing is left of it, and the one before stands.
+    """
+    final = run / FOLDER / f"{BEST}_{progress.total_steps:09d}"
+    told = {"steps": progress.total_steps, **figures}
+    try:
+        write_folder(final, policy_files(network.state_dict(), recipe, progress) | {FIGURES: _json(told)})
+    except OSError as error:
+        raise disk_error(final, error, run, find_best(run)) from error
+    for folder in final.parent.glob(f"{BEST}_*"):
+        if folder != final:
+            shutil.rmtree(folder, ignore_errors=True)
+    return final
 
 
-def _sync(folder: Path) -> None:
-    """Wait until the disk knows the names in a folder, where the system can tell."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+def policy_files(weights: Mapping[str, Tensor], recipe: Recipe, progress: Progress) -> dict[str, Write]:
+    """What a checkpoint is driven with."""
+    contiguous = {key: value.contiguous() for key, value in weights.items()}
+    return {
+        WEIGHTS: lambda file: file.write(save(contiguous)),
+        RECIPE: lambda file: file.write(recipe_loading.dump(recipe).encode()),
+        PROGRESS: _json(asdict(progress)),
+    }
 
 
-def _replace(temporary: Path, final: Path) -> None:
-    """Give a whole checkpoint its name. One that has it already gives way, but is not gone before the new one is there:
-    `clear_leftovers` knows what to do when a process dies in between."""
-    old = final.with_name(f".{final.name}{OLD}")
-    if final.exists():
-        shutil.rmtree(old, ignore_errors=True)
-        final.rename(old)
-    temporary.rename(final)
-    _sync(final.parent)
-    shutil.rmtree(old, ignore_errors=True)
+def _json(values: Mapping[str, Any]) -> Write:
+    return lambda file: file.write(json.dumps(values, indent=1).encode())
 
 
 def clear_leftovers(run: Path) -> None:
     """Remove what a process that died left behind while it wrote a checkpoint; to be called by who trains the run."""
-    for path in (run / FOLDER).glob(f".*{PART}"):
-        shutil.rmtree(path, ignore_errors=True)
-    for path in (run / FOLDER).glob(f".*{OLD}"):
-        name = path.name[1 : -len(OLD)]
-        if path.with_name(name).exists():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.rename(path.with_name(name))
+    clear_folders(run / FOLDER)
 
 
 def set_aside(folder: Path) -> Path:

@@ -19,7 +19,8 @@ from me3bev_cli.evaluation.metrics import measure
 from me3bev_cli.evaluation.side_by_side import drive, split
 from me3bev_cli.pipeline.assemble import configured
 from me3bev_cli.seeding import derive_seed
-from me3bev_cli.training.best import SCORE, read_best, save_best
+from me3bev_cli.training.best import SCORE, read_best
+from me3bev_cli.training.checkpoint import save_best
 from me3bev_cli.training.curve import read_metrics
 from me3bev_cli.workers import WorkerDiedError, cores
 

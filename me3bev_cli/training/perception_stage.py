@@ -70,9 +70,11 @@ class PerceptionRunner:
         self.rig = recipe_rig(recipe)
         grid = grid_of(plugin, recipe.spatial.name, config, self.rig)
         names = (recipe.seed, "perception", number)
-        self.rounds = Rounds(stage, names, recipe.simulator_in(stage).map)
         self.model = PerceptionModel(trainer.network, grid, stage.head_width, derive_seed(*names, "head"))
-        self.pool = Pool(stage.pool, mirrored_cameras(self.rig) if stage.mirror else None, stage.hidden)
+        mirror = mirrored_cameras(self.rig) if stage.mirror else None
+        map = recipe.simulator_in(stage).map
+        self.rounds = Rounds(stage, names, map, mirror is not None, self.model.stretches)
+        self.pool = Pool(stage.pool, mirror, stage.hidden, max(grid.rows, grid.columns))
         self.place = Place()
         self.learner: Learner | None = None
         self._chance: Tensor | None = None
@@ -178,19 +180,19 @@ class PerceptionRunner:
         """A round's gradient steps; the means of its losses."""
         place = self.place
         kept = sum(len(frames) for frames in drawn)
-        chosen, turned = self.rounds.minibatches(place.round, kept, len(self.pool))
+        minibatches = self.rounds.minibatches(place.round, kept, len(self.pool))
         sums: defaultdict[str, float] = defaultdict(float)
         first = place.update
-        while place.update < len(chosen):
+        while place.update < len(minibatches):
             self._check_stop()
             drawer.attend()
-            batch = self.pool.batch(chosen[place.update], turned[place.update], self.trainer.device)
-            losses = learner.learn(batch, place.before + steps * place.update / len(chosen))
+            batch = self.pool.batch(*minibatches[place.update], self.trainer.device)
+            losses = learner.learn(batch, place.before + steps * place.update / len(minibatches))
             place.update += 1
             for name, loss in losses.items():
                 sums[name] += float(loss)
             self.trainer.display.step(self.trainer.standing)
-        return {name: total / (len(chosen) - first) for name, total in sums.items()}
+        return {name: total / (len(minibatches) - first) for name, total in sums.items()}
 
     def _check_stop(self) -> None:
         if self.trainer.stopping:

@@ -13,41 +13,49 @@ from me3bev_plugins.spatial.splat import weighted_bags
 
 
 class GroundIndex(NamedTuple):
-    """Where each ground point (z = 0) is seen: four pixels and their weights per point, S points in V cells."""
+    """Where each piece of ground (z = 0) is seen: pixels and their weights, S pieces in V cells."""
 
     pixel: Tensor
-    """(M,) flat index in (C, H, W), by point."""
+    """(M,) flat index in (C, H, W), by piece."""
     weight: Tensor
-    """(M,) share of the pixel in the point's colour; a point's four add up to 1."""
+    """(M,) share of the pixel in the piece's colour; a piece's add up to 1."""
     offsets: Tensor
-    """(S,) where each point's pixels begin; points that no camera sees have none."""
+    """(S,) where each piece's pixels begin; pieces that no camera sees have none."""
     seen: Tensor
     """(V, 1) share of each cell's points that some camera sees."""
 
 
-def ground_index(rig: Rig, grid: Grid, samples: int) -> GroundIndex:
+class Sampling(NamedTuple):
+    """How finely the ground is looked at, per cell and axis."""
+
+    pieces: int
+    """Pieces of ground, each of which gives a colour."""
+    points: int = 1
+    """Points per piece and axis, whose mean its colour is: a line narrower than a piece is not missed."""
+
+
+def ground_index(rig: Rig, grid: Grid, sampling: Sampling) -> GroundIndex:
     """Find the ground in the images of a rig; see `find_ground`."""
     intrinsics, extrinsics = calibration(rig)
-    return find_ground(intrinsics, extrinsics, ranks(rig), rig.image_size, grid, samples)
+    return find_ground(intrinsics, extrinsics, ranks(rig), rig.image_size, grid, sampling)
 
 
 def find_ground(
-    intrinsics: Tensor, extrinsics: Tensor, order: Tensor, image_size: tuple[int, int], grid: Grid, samples: int
+    intrinsics: Tensor, extrinsics: Tensor, order: Tensor, image_size: tuple[int, int], grid: Grid, sampling: Sampling
 ) -> GroundIndex:
     """Find the ground in the images.
 
-    Every cell has samples x samples points, which follow each other. A point that several cameras see is taken
-    from the one nearest whose optical axis it lies.
+    A cell's pieces follow each other. A point that several cameras see is taken from the one nearest whose optical
+    axis it lies.
 
     Args:
         intrinsics, extrinsics: (C, 3, 3) and (C, 4, 4) of one frame, float64.
         order: from `ranks`.
         image_size: (H, W), pixels.
         grid: whose cells are looked for.
-        samples: ground points per cell and axis.
+        sampling: how finely.
     """
-    points = grid.centres(samples).view(grid.rows, samples, grid.columns, samples, 2)
-    points = points.transpose(1, 2).reshape(-1, 2).to(intrinsics.device)
+    points = _points(grid, sampling).to(intrinsics.device)
     camera, u, v, seen = _seen_by(intrinsics, extrinsics, order, image_size, points)
     height, width = image_size
     # Centres of pixels lie at halves; at the border the outermost pixel is held.
@@ -59,13 +67,40 @@ def find_ground(
     pixel = torch.stack([corner, corner + 1, corner + width, corner + width + 1], dim=1)
     across = torch.stack([1 - right_share, right_share], dim=1)
     weight = torch.cat([across * (1 - low_share)[:, None], across * low_share[:, None]], dim=1)
-    # Numbers up to four pixels per ground point: int32 holds them and is half as much to read.
+    pieces = seen.view(-1, sampling.points**2)
+    pixel, weight, counts = _merged(pixel, weight, pieces, len(order) * height * width)
+    # Numbers up to a few pixels per ground point: int32 holds them and is half as much to read.
     return GroundIndex(
-        pixel=pixel[seen].flatten().int(),
-        weight=weight[seen].flatten().float(),
-        offsets=(4 * (seen.cumsum(0) - seen.long())).int(),
-        seen=seen.view(-1, samples**2).float().mean(1, keepdim=True),
+        pixel=pixel.int(),
+        weight=weight.float(),
+        offsets=(counts.cumsum(0) - counts).int(),
+        seen=pieces.view(-1, (sampling.pieces * sampling.points) ** 2).float().mean(1, keepdim=True),
     )
+
+
+def _points(grid: Grid, sampling: Sampling) -> Tensor:
+    """The ground points (V * pieces^2 * points^2, 2), a piece's next to each other, as a cell's pieces are."""
+    pieces, points = sampling
+    centres = grid.centres(pieces * points).view(grid.rows, pieces, points, grid.columns, pieces, points, 2)
+    return centres.permute(0, 3, 1, 4, 2, 5, 6).reshape(-1, 2)
+
+
+def _merged(pixel: Tensor, weight: Tensor, pieces: Tensor, pixels: int) -> tuple[Tensor, Tensor, Tensor]:
+    """The mean over each piece's points that are seen, each pixel of it told once.
+
+    Args:
+        pixel, weight: (S * points, 4).
+        pieces: (S, points), whether a point is seen.
+        pixels: how many there are.
+
+    Returns:
+        pixel and weight (M,) by piece, and how many of them each piece has (S,).
+    """
+    piece = torch.arange(len(pieces), device=pixel.device)[:, None, None].expand(*pieces.shape, 4)
+    share = weight.view(*pieces.shape, 4) / pieces.sum(1).clamp(min=1)[:, None, None]
+    keys, place = torch.unique((piece * pixels + pixel.view(*pieces.shape, 4))[pieces].flatten(), return_inverse=True)
+    merged = share.new_zeros(len(keys)).index_add_(0, place, share[pieces].flatten())
+    return keys % pixels, merged, torch.bincount(keys // pixels, minlength=len(pieces))
 
 
 def _seen_by(
@@ -102,7 +137,7 @@ def warp(pixels: Tensor, index: GroundIndex) -> Tensor:
         index: from `ground_index`.
 
     Returns:
-        (N, V, 3 * samples^2 + 1): the colours of each cell's points, and the share of them that is seen.
+        (N, V, 3 * pieces^2 + 1): the colours of each cell's pieces, and the share of its points that is seen.
     """
     weight = index.weight.to(pixels.dtype)
     points = [weighted_bags(frame, weight, index.pixel, index.offsets) for frame in pixels]

@@ -12,9 +12,10 @@ from me3bev_cli.api import Calibration, GridSpec, Rig, SpatialOutput, TokenSpec
 from me3bev_plugins.spatial.bev_trunk import BEVTrunk
 from me3bev_plugins.spatial.frustum import Grid, cells_of, depth_edges, feature_size, frame_cells, frustum
 from me3bev_plugins.spatial.frustum import calibration as rig_calibration
-from me3bev_plugins.spatial.ground import GroundIndex, find_ground, ground_index, ranks, warp
+from me3bev_plugins.spatial.ground import GroundIndex, Sampling, find_ground, ground_index, ranks, warp
 from me3bev_plugins.spatial.precision import ComputeConfig, arrange, computing, laid_out, unhalved
 from me3bev_plugins.spatial.splat import SplatIndex, build_index, splat
+from me3bev_plugins.spatial.stretch import stretched
 from me3bev_plugins.spatial.trunks import Trunk, check_trunk
 
 Range = tuple[float, float]
@@ -55,7 +56,10 @@ class LiftSplat(nn.Module):
         z_range: Range = Field(default=(-10.0, 10.0), description="metres above the ground")
         cell: float = Field(default=0.5, gt=0, description="side of a grid cell, metres")
         ground_plane: bool = Field(default=True, description="give the images warped to the ground to the grid's trunk")
-        ground_samples: PositiveInt = Field(default=2, description="ground points per cell and axis")
+        ground_samples: PositiveInt = Field(default=2, description="colours of the ground per cell and axis")
+        ground_points: PositiveInt = Field(
+            default=1, description="points per colour and axis, whose mean it is: so that narrow lines are not missed"
+        )
         bev_channels: tuple[PositiveInt, PositiveInt, PositiveInt] = Field(
             default=(48, 96, 128), description="widths of the grid's trunk at 1/2, 1/4 and 1/8 resolution"
         )
@@ -86,6 +90,10 @@ class LiftSplat(nn.Module):
         def grid(self) -> Grid:
             """The bird's-eye grid."""
             return Grid(self.x_range, self.y_range, self.z_range, self.cell)
+
+        def sampling(self) -> Sampling:
+            """How finely the ground is looked at."""
+            return Sampling(self.ground_samples, self.ground_points)
 
     depth_edges: Tensor
 
@@ -139,7 +147,7 @@ class LiftSplat(nn.Module):
         for name, table in self._splat_index(None)._asdict().items():
             self.register_buffer(f"splat_{name}", table, persistent=False)
         if self.config.ground_plane:
-            for name, table in ground_index(self.rig, self.grid, self.config.ground_samples)._asdict().items():
+            for name, table in ground_index(self.rig, self.grid, self.config.sampling())._asdict().items():
                 self.register_buffer(f"ground_{name}", table, persistent=False)
 
     def point_cells(self, calibration: Calibration | None = None) -> Tensor:
@@ -163,12 +171,15 @@ class LiftSplat(nn.Module):
         count = self.grid.rows * self.grid.columns
         return build_index(frame_cells(self.point_cells(calibration), frames, count), frames * count)
 
-    def forward(self, images: Tensor, calibration: Calibration | None = None) -> SpatialOutput:
+    def forward(
+        self, images: Tensor, calibration: Calibration | None = None, *, stretch: Tensor | None = None
+    ) -> SpatialOutput:
         """Images to tokens, depth, and the feature map (as `grid_spec` tells), all in the images' type.
 
         Args:
             images: (N, C, 3, H, W), ImageNet-normalised.
             calibration: of each frame, on the images' device; None for the rig's.
+            stretch: (N, 2, max(X, Y)), where the grid's rows and columns are taken from, from -1 to 1.
         """
         count, config = len(images), self.config
         self._check(images, calibration)
@@ -181,6 +192,8 @@ class LiftSplat(nn.Module):
             if config.ground_plane:
                 cells = torch.cat([cells, self._ground(flat.to(cells.dtype), calibration)], dim=2)
             bev = cells.view(count, self.grid.rows, self.grid.columns, -1).permute(0, 3, 1, 2)
+            if stretch is not None:
+                bev = stretched(bev, stretch)
             tokens, grid = self.bev_trunk(laid_out(bev, config.channels_last))
         return SpatialOutput(*(part.to(images.dtype) for part in (tokens, grid, logits)))
 
@@ -212,10 +225,10 @@ class LiftSplat(nn.Module):
         if calibration is None:
             return warp(pixels, GroundIndex(*(self.get_buffer(f"ground_{name}") for name in GroundIndex._fields)))
         # Frame by frame: the search holds every ground point in every camera's frame.
-        order, size, samples = ranks(self.rig).to(images.device), self.rig.image_size, self.config.ground_samples
+        order, size, sampling = ranks(self.rig).to(images.device), self.rig.image_size, self.config.sampling()
         intrinsics, extrinsics = (part.detach().double() for part in calibration)
         views = [
-            warp(frame[None], find_ground(k, e, order, size, self.grid, samples))
+            warp(frame[None], find_ground(k, e, order, size, self.grid, sampling))
             for frame, k, e in zip(pixels, intrinsics, extrinsics, strict=True)
         ]
         return torch.cat(views)

@@ -10,11 +10,12 @@ import pytest
 from line_runs import line_trainer
 
 from me3bev_cli.api import StepRecord
+from me3bev_cli.comfort_bounds import ACCELERATION, LATERAL, LONGITUDINAL_JERK
 from me3bev_cli.errors import RecipeError
 from me3bev_cli.evaluation.comfort import BOUNDS
 from me3bev_cli.recipe_loading import resolve_recipe
 from me3bev_cli.recipe_training import RewardWeights, StageRewardWeights
-from me3bev_cli.reward_terms import ACCELERATION, JERK, LATERAL, TERMS, bonus, formula
+from me3bev_cli.reward_terms import TERMS, bonus, formula
 from me3bev_cli.training.curve import read_metrics
 from me3bev_cli.training.environments import make_environments
 
@@ -84,7 +85,7 @@ def test_the_sum_of_weight_times_term() -> None:
 def test_the_bounds_are_those_of_the_metric() -> None:
     assert BOUNDS["longitudinal acceleration"] == ACCELERATION
     assert BOUNDS["lateral acceleration"] == (-LATERAL, LATERAL)
-    assert BOUNDS["longitudinal jerk"] == (-JERK, JERK)
+    assert BOUNDS["longitudinal jerk"] == (-LONGITUDINAL_JERK, LONGITUDINAL_JERK)
 
 
 def test_the_schema_offers_every_term_and_describes_it() -> None:
