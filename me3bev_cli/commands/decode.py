@@ -69,8 +69,10 @@ def decode(
 
     The same command goes on where it was stopped.
     """
+    from me3bev_cli.allocator import keep_freed_memory
     from me3bev_cli.decoding import settings
 
+    keep_freed_memory()
     given = settings.Settings(
         logs=logs, mapping=mapping, maps=maps, density=density, weather=weather, episodes=episodes, source=source,
         steps=steps, batch=batch, every=every, patience=patience, memory=memory, pretrained=pretrained,

@@ -76,10 +76,12 @@ def drive(
 
 def _run(plan: Plan) -> None:
     """Drive and write; Ctrl-C says what is kept."""
+    from me3bev_cli.allocator import keep_freed_memory
     from me3bev_cli.driving.session import SIZE
     from me3bev_cli.driving.video import video_file
     from me3bev_cli.stopping import Stop
 
+    keep_freed_memory()
     request = Stop()
     kept = "nothing is written"
     with request.listening():

@@ -11,7 +11,6 @@ from me3bev_cli.errors import UserError
 
 if TYPE_CHECKING:
     from me3bev_cli.evaluation.gate import Gate
-    from me3bev_cli.evaluation.methods import Asked
     from me3bev_cli.evaluation.outcome import Outcome
     from me3bev_cli.evaluation.session import Driven, Evaluation
 
@@ -76,6 +75,7 @@ def evaluate(
             raise UserError(f"{value} is too few" if least else f"{value} is negative", where=name)
     from me3bev_cli.evaluation.gate import read_gate
     from me3bev_cli.evaluation.methods import Asked, parse_references
+    from me3bev_cli.evaluation.session import prepare
 
     thresholds = None if gate is None else read_gate(gate)
     copies = {"csv": csv, "markdown": markdown, "latex": latex, "picture": picture}
@@ -88,7 +88,10 @@ def evaluate(
         asked = Asked(
             run or (), checkpoint, driver or (), parse_references(reference), recipe, device, baseline
         )  # fmt: skip
-        evaluation = _prepare(asked, maps, density, weather, episodes, seed, out, overwrite)
+        evaluation = prepare(
+            asked, maps=maps, density=density, weather=weather, episodes=episodes, seed=seed, out=out,
+            overwrite=overwrite,
+        )  # fmt: skip
         if thresholds is not None and gate is not None:
             _check_gate(thresholds, gate, evaluation)
         driven = _drive(evaluation, workers)
@@ -101,23 +104,6 @@ def evaluate(
         _judge(thresholds, outcome, methods)
 
 
-def _prepare(
-    asked: Asked,
-    maps: str | None,
-    density: str | None,
-    weather: str | None,
-    episodes: int,
-    seed: int,
-    out: Path | None,
-    overwrite: bool,
-) -> Evaluation:
-    from me3bev_cli.evaluation.session import prepare
-
-    return prepare(
-        asked, maps=maps, density=density, weather=weather, episodes=episodes, seed=seed, out=out, overwrite=overwrite
-    )
-
-
 def _check_gate(gate: Gate, path: Path, evaluation: Evaluation) -> None:
     from me3bev_cli.evaluation.gate import check_names
 
@@ -127,10 +113,12 @@ def _check_gate(gate: Gate, path: Path, evaluation: Evaluation) -> None:
 
 def _drive(evaluation: Evaluation, workers: int | None) -> Driven:
     """Drive the episodes; Ctrl-C says what is kept."""
+    from me3bev_cli.allocator import keep_freed_memory
     from me3bev_cli.evaluation.progress import EvaluationProgress
     from me3bev_cli.evaluation.session import drive, finished
     from me3bev_cli.workers import cores
 
+    keep_freed_memory()
     total = len(evaluation.visits)
     with EvaluationProgress(total) as progress:
         try:
