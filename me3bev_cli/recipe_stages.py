@@ -165,6 +165,9 @@ class PerceptionStage(SimulatedStage):
     roam: float = Field(
         default=0.5, ge=0, le=1, description="share of frames seen from elsewhere near by, turned any way, if it can be"
     )
+    dress: float = Field(
+        default=0.0, ge=0, le=1, description="share of frames whose sidewalks, lines, houses and trees are others"
+    )
     pool: int = Field(default=2048, ge=1, description="frames of the last rounds that are learned from; the oldest go")
     uses: float = Field(default=4.0, gt=0, description="how often a frame is learned from, on average")
     minibatch: int = Field(default=8, ge=1, description="frames per gradient step")

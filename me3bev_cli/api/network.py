@@ -18,6 +18,12 @@ class TokenSpec(NamedTuple):
     rows: int
     columns: int
     width: int
+    focus: float = 1.0
+    """How much finer tokens are in the middle of the map than on average, per axis; 1: they are all of one size."""
+
+    def place(self, at: Any) -> Any:
+        """Where a point of the grid of tokens lies on the map, both from -1 to 1 along an axis; numbers or arrays."""
+        return at / self.focus + (1 - 1 / self.focus) * at**3
 
     @property
     def total(self) -> int:

@@ -211,8 +211,10 @@ class SimulatorPlugin(Protocol):
         `plan_view(size) -> (size, size, 3) uint8`, the surroundings from above with the route, for people.
         It may have `actors() -> Actors`, the others now, and `route_line() -> (P, 3)`, the route's centre line,
         world frame, metres: logs keep them for viewers.
-        And it may have `look_from(ahead, left, turn, scale) -> View`, what would be seen from another place on the
-        ground, metres from the ego and radians to its left, in a world `scale` times as large, whether or not
-        observations hold images: perception learned from the ego's own lane alone knows no other town's roads.
+        And it may have `look_from(ahead, left, turn, scale, dress) -> View`, what would be seen from another place on
+        the ground, metres from the ego and radians to its left, in a world `scale` times as large, whether or not
+        observations hold images: perception learned from the ego's own lane alone knows no other town's roads. A
+        `dress` from 1 to the environment's `dresses` is another look of the same streets (other sidewalks, lines,
+        houses, trees), 0 their own; an environment without `dresses` is asked for its own only.
         """
         ...

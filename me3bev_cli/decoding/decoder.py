@@ -8,8 +8,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from me3bev_cli.api import BEV_CLASSES
+from me3bev_cli.api import BEV_CLASSES, TokenSpec
 from me3bev_cli.decoding.resnet import resnet_stages
+from me3bev_cli.perception.focus import even_places, laid_out_evenly
 
 SIZE = 200
 """Cells per side of the semantic map."""
@@ -31,6 +32,8 @@ class LatentSpec(NamedTuple):
     channels: int
     rows: int
     columns: int
+    focus: float = 1.0
+    """As `TokenSpec.focus`."""
 
 
 class SemanticDecoder(nn.Module):
@@ -43,6 +46,8 @@ class SemanticDecoder(nn.Module):
     Raises:
         UserError: the weights cannot be had.
     """
+
+    places: Tensor | None
 
     def __init__(self, latent: LatentSpec, pretrained: bool | str = False) -> None:
         super().__init__()
@@ -69,6 +74,9 @@ class SemanticDecoder(nn.Module):
             nn.Conv2d(JOINED, len(BEV_CLASSES) * finer**2, 3, padding=1), nn.PixelShuffle(finer)
         )
 
+        uneven = even_places(SIZE, TokenSpec(latent.rows, latent.columns, latent.channels, latent.focus))
+        self.register_buffer("places", uneven if latent.focus != 1 else None, persistent=False)
+
     def forward(self, latent: Tensor) -> Tensor:
         """See the class."""
         spread = self.conv(latent)
@@ -77,6 +85,8 @@ class SemanticDecoder(nn.Module):
         deep = self.deep(self.resnet(self.coarse(spread)))
         deep = interpolate(deep, size=spread.shape[-2:], mode="bilinear")
         scores = cast(Tensor, self.scores(self.join(torch.cat([deep, self.shallow(spread)], 1))))
+        if self.places is not None:
+            return laid_out_evenly(scores, self.places)
         if scores.shape[-2:] == (SIZE, SIZE):
             return scores
         return interpolate(scores, size=(SIZE, SIZE), mode="bilinear")

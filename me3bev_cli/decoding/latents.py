@@ -40,7 +40,8 @@ def latent_spec(network: Network, recipe: Recipe, source: str) -> LatentSpec:
             hint="Decode a run whose recipe has a spatial plugin",
         )
     if source == U_BEV:
-        return LatentSpec(network.tokens.width, network.tokens.rows, network.tokens.columns)
+        tokens = network.tokens
+        return LatentSpec(tokens.width, tokens.rows, tokens.columns, tokens.focus)
     cls, config = configured("spatial", recipe.spatial)
     try:
         grid = grid_of(cls, recipe.spatial.name, config, recipe_rig(recipe))

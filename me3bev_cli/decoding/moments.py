@@ -36,7 +36,7 @@ class Take(NamedTuple):
     seed: int = 0
     log: Path | None = None
     varied: bool = False
-    """Whether the world is seen in other sizes, by turned rigs, and with left and right exchanged."""
+    """Whether the world is seen in other sizes and dresses, by turned rigs, and with left and right exchanged."""
 
 
 class Moment(NamedTuple):
@@ -63,6 +63,8 @@ class Stand(NamedTuple):
     scale: float
     mirrored: bool
     """Whether left and right are exchanged."""
+    dress: int = 0
+    """As `look_from` has it."""
 
 
 Look = Callable[[], Moment]
@@ -70,6 +72,8 @@ Look = Callable[[], Moment]
 
 TURNED = 0.25
 """Share of varied episodes that are seen by a rig turned any way: an ego's own lane always leads ahead."""
+DRESSED = 0.75
+"""Share of varied episodes that are seen in another dress of the map, where it has any."""
 UNKNOWN = (math.nan, math.nan, math.nan)
 
 
@@ -147,7 +151,7 @@ class Episodes:
 
     def _driven(self, take: Take) -> Iterator[Look]:
         env = self._environment(take)
-        stand = self._stand(take)
+        stand = self._stand(take, getattr(env.unwrapped, "dresses", 0))
         observation, _ = env.reset(seed=take.seed)
         time, done = 0.0, False
         while not done:
@@ -156,7 +160,7 @@ class Episodes:
             observation, _, terminated, truncated, info = env.step(env.unwrapped.autopilot())
             time, done = info["record"]["time"], terminated or truncated
 
-    def _stand(self, take: Take) -> Stand:
+    def _stand(self, take: Take, dresses: int) -> Stand:
         rng = np.random.default_rng(derive_seed(take.seed, "stand"))
         left, turn = float(rng.uniform(-SWAY[0], SWAY[0])), float(rng.uniform(-SWAY[1], SWAY[1]))
         if not take.varied:
@@ -164,7 +168,9 @@ class Episodes:
         if rng.random() < TURNED:
             turn = float(rng.uniform(-np.pi, np.pi))
         mirrored = bool(rng.random() < 0.5) and self._mirror is not None
-        return Stand(left, turn, float(rng.choice(SCALES)), mirrored)
+        scale = float(rng.choice(SCALES))
+        dress = int(rng.integers(1, dresses + 1)) if dresses and rng.random() < DRESSED else 0
+        return Stand(left, turn, scale, mirrored, dress)
 
     @cached_property
     def _rig(self) -> Rig:
@@ -182,7 +188,7 @@ class Episodes:
         x, y, heading = world.pose()
         if hasattr(world, "look_from"):
             left = stand.left
-            images, depth, classes, bev = world.look_from(0.0, left, stand.turn, stand.scale)
+            images, depth, classes, bev = world.look_from(0.0, left, stand.turn, stand.scale, stand.dress)
             x, y = x - math.sin(heading) * left, y + math.cos(heading) * left
             heading += stand.turn
         else:

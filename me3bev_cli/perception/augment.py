@@ -17,7 +17,7 @@ from me3bev_cli.perception.truth import CELL, CELLS
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 
-STRETCH = 2.0
+STRETCH = 3.0
 """A piece of the map becomes at most so many times as long, or as short."""
 PIECE = (2.0, 14.0)
 """Metres of the changed map that are stretched alike, at least and at most."""
@@ -81,12 +81,12 @@ def _colours(rng: np.random.Generator, strength: float) -> Bytes:
 
 def _axis(rng: np.random.Generator) -> Floats:
     """Borders along one axis: piece by piece at another scale, the middle (the ego) where it was."""
-    general = rng.uniform(-0.5, 0.5)
+    general = rng.uniform(-0.4, 0.4)
     step = np.empty(CELLS)
     at = 0
     while at < CELLS:
         length = max(1, round(rng.uniform(*PIECE) / CELL))
-        step[at : at + length] = np.clip(general + rng.uniform(-0.7, 0.7), -1, 1)
+        step[at : at + length] = np.clip(general + rng.uniform(-0.8, 0.8), -1, 1)
         at += length
     borders = np.concatenate([[0.0], np.cumsum(STRETCH**step)])
     half: float = borders[CELLS // 2]

@@ -85,6 +85,7 @@ class FrameSource:
         noise: strength of the disturbances of the autopilot's actions, so that it is seen off its lane too.
         depth: bins in which depth is predicted; None: it is not.
         roam: share of the frames that are seen from elsewhere near by, where the simulator can.
+        dress: share of them that are seen in another dress of the map, where it has any.
     """
 
     simulator: Any
@@ -95,6 +96,7 @@ class FrameSource:
     noise: float
     depth: DepthBins | None
     roam: float = 0.0
+    dress: float = 0.0
     _envs: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
     _sight: Sight | None = field(default=None, init=False, repr=False)
 
@@ -151,19 +153,25 @@ class FrameSource:
         world = env.unwrapped
         if hasattr(world, "look_from"):
             far = rng.random() < self.roam
-            images, depth, classes, bev = self._elsewhere(world, rng) if far else _beside(world, rng)
+            dress = self._dress(world, rng)
+            images, depth, classes, bev = self._elsewhere(world, rng, dress) if far else _beside(world, rng, dress)
         else:
             images, bev = observation["images"].copy(), world.bev_semantics()
             depth, classes = world.camera_truth()
         return images, packed(bev, self._seen(depth, classes, bev)), self._shares(depth)
 
-    def _elsewhere(self, world: Any, rng: np.random.Generator) -> View:
+    def _dress(self, world: Any, rng: np.random.Generator) -> int:
+        dresses = getattr(world, "dresses", 0)
+        return int(rng.integers(1, dresses + 1)) if dresses and rng.random() < self.dress else 0
+
+    def _elsewhere(self, world: Any, rng: np.random.Generator, dress: int) -> View:
         """From a free place near by, looking any way; from the ego's own where none is found."""
         for _ in range(TRIES):
-            view: View = world.look_from(*rng.uniform(-ROAM, ROAM, 2), rng.uniform(-np.pi, np.pi), rng.choice(SCALES))
+            place, turn = rng.uniform(-ROAM, ROAM, 2), rng.uniform(-np.pi, np.pi)
+            view: View = world.look_from(*place, turn, rng.choice(SCALES), dress)
             if not np.isin(view.bev[STAND, STAND], THINGS).any():
                 return view
-        return _beside(world, rng)
+        return _beside(world, rng, dress)
 
     def _logged(self, path: Path) -> Iterator[Make]:
         from me3bev_cli.recording.frames import FrameLog
@@ -204,9 +212,9 @@ class FrameSource:
         return self.depth.shares(depth)
 
 
-def _beside(world: Any, rng: np.random.Generator) -> View:
+def _beside(world: Any, rng: np.random.Generator, dress: int) -> View:
     """From the ego's own place, give or take a little: see `SWAY`."""
-    view: View = world.look_from(0.0, rng.uniform(-SWAY[0], SWAY[0]), rng.uniform(-SWAY[1], SWAY[1]), 1.0)
+    view: View = world.look_from(0.0, rng.uniform(-SWAY[0], SWAY[0]), rng.uniform(-SWAY[1], SWAY[1]), 1.0, dress)
     return view
 
 

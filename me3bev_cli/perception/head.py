@@ -7,7 +7,8 @@ from typing import cast
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from me3bev_cli.api import BEV_CLASSES
+from me3bev_cli.api import BEV_CLASSES, TokenSpec
+from me3bev_cli.perception.focus import even_places, laid_out_evenly
 from me3bev_cli.perception.truth import CELLS
 
 
@@ -21,18 +22,25 @@ class SegmentationHead(nn.Module):
         channels: of the grid.
         size: (X, Y) of the grid.
         width: channels between the two layers.
+        tokens: what the grid is made of, if it is not even.
     """
 
-    def __init__(self, channels: int, size: tuple[int, int], width: int) -> None:
+    places: Tensor | None
+
+    def __init__(self, channels: int, size: tuple[int, int], width: int, tokens: TokenSpec | None = None) -> None:
         super().__init__()
         finer = max(1, CELLS // max(size))
         self.first = nn.Conv2d(channels, width, 3, padding=1)
         self.scores = nn.Conv2d(width, len(BEV_CLASSES) * finer**2, 3, padding=1)
         self.shuffle = nn.PixelShuffle(finer)
+        uneven = tokens is not None and tokens.focus != 1
+        self.register_buffer("places", even_places(CELLS, tokens) if tokens and uneven else None, persistent=False)
 
     def forward(self, grid: Tensor) -> Tensor:
         """See the class."""
         scores = cast(Tensor, self.shuffle(self.scores(F.relu(self.first(grid), inplace=True))))
+        if self.places is not None:
+            return laid_out_evenly(scores, self.places)
         if scores.shape[-2:] == (CELLS, CELLS):
             return scores
         return F.interpolate(scores, size=(CELLS, CELLS), mode="bilinear", align_corners=False)

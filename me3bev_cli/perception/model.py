@@ -58,7 +58,8 @@ class PerceptionModel(nn.Module):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.head = SegmentationHead(grid.channels, (grid.rows, grid.columns), width).to(network.device)
-            self.token_head = SegmentationHead(tokens.width, (tokens.rows, tokens.columns), width).to(network.device)
+            size = (tokens.rows, tokens.columns)
+            self.token_head = SegmentationHead(tokens.width, size, width, tokens).to(network.device)
         self.token_size = (tokens.rows, tokens.columns)
         self.sizes = {"channels": grid.channels, "rows": grid.rows, "columns": grid.columns, "width": width}
 

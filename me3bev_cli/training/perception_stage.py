@@ -128,6 +128,7 @@ class PerceptionRunner:
             every=stage.every,
             noise=stage.noise,
             roam=stage.roam,
+            dress=stage.dress,
             depth=depth_bins_of(self.model.spatial, self.rig) if stage.depth else None,
         )
 

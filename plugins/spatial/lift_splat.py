@@ -70,6 +70,9 @@ class LiftSplat(nn.Module):
         token_rows: PositiveInt = Field(default=8, description="tokens ahead to behind")
         token_columns: PositiveInt = Field(default=8, description="tokens left to right")
         token_width: PositiveInt = Field(default=64, description="numbers per token")
+        token_focus: float = Field(
+            default=1.0, ge=1, le=8, description="how much finer tokens are at the vehicle than on average, per axis"
+        )
 
         @model_validator(mode="after")
         def _check(self) -> Self:
@@ -91,6 +94,10 @@ class LiftSplat(nn.Module):
             """The bird's-eye grid."""
             return Grid(self.x_range, self.y_range, self.z_range, self.cell)
 
+        def tokens(self) -> TokenSpec:
+            """The token grid."""
+            return TokenSpec(self.token_rows, self.token_columns, self.token_width, self.token_focus)
+
         def sampling(self) -> Sampling:
             """How finely the ground is looked at."""
             return Sampling(self.ground_samples, self.ground_points)
@@ -104,7 +111,7 @@ class LiftSplat(nn.Module):
         self.trunk = Trunk(config.trunk, config.stride, config.pretrained, config.neck)
         self.head = nn.Conv2d(self.trunk.channels, config.depth_bins + config.channels, 1)
         ground = 3 * config.ground_samples**2 + 1 if config.ground_plane else 0
-        tokens = (config.token_rows, config.token_columns, config.token_width)
+        tokens = config.tokens()
         self.bev_trunk = BEVTrunk(
             config.channels + ground, config.bev_channels, config.bev_blocks, tokens, config.bev_stride
         )
@@ -133,7 +140,7 @@ class LiftSplat(nn.Module):
                 f"{config.token_rows} x {config.token_columns} tokens are more than a quarter of the grid's "
                 f"{grid.rows} x {grid.columns} cells per axis"
             )
-        return TokenSpec(config.token_rows, config.token_columns, config.token_width)
+        return config.tokens()
 
     @classmethod
     def grid_spec(cls, config: Config, rig: Rig) -> GridSpec:

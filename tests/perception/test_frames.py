@@ -82,3 +82,25 @@ def test_a_larger_world_is_larger_on_the_map_and_farther_away(world: Any) -> Non
     # The ground is as far away as ever: the cameras stand as high above it as they did.
     depth = world.camera_truth()[0][:, -1]
     np.testing.assert_allclose(world.look_from(0.0, 0.0, 0.0, 2.0).depth[:, -1], depth, rtol=1e-3)
+
+
+def test_another_dress_has_the_same_streets_and_traffic_under_other_clothes(world: Any) -> None:
+    """Where asphalt or its paint was it is still; sidewalks, lines and houses differ from dress to dress."""
+    street = [BEV_CLASSES.index(name) for name in ("road", "lane_marking", "crosswalk", "vehicle")]
+    own = world.look_from(0.0, 0.0, 0.0)
+    views = [world.look_from(0.0, 0.0, 0.0, 1.0, dress) for dress in range(1, world.dresses + 1)]
+    for view in views:
+        assert (np.isin(view.bev, street) >= np.isin(own.bev, street)).mean() > 0.99
+        vehicle = BEV_CLASSES.index("vehicle")
+        np.testing.assert_array_equal(view.bev == vehicle, own.bev == vehicle)
+    for name in ("sidewalk", "lane_marking", "building"):
+        counts = {int((view.bev == BEV_CLASSES.index(name)).sum()) for view in (own, *views)}
+        assert len(counts) > 3, name
+    again = world.look_from(0.0, 0.0, 0.0, 1.0, 3)
+    np.testing.assert_array_equal(again.images, views[2].images)
+    assert (again.images != own.images).any()
+
+
+def test_a_share_of_the_frames_is_seen_in_another_dress() -> None:
+    plain, dressed = drawn(steps=16), drawn(steps=16, dress=1.0)
+    assert all((plain.maps[n] != dressed.maps[n]).any() for n in range(4))

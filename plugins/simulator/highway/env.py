@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +16,7 @@ from me3bev_plugins.simulator.highway import driver, options
 from me3bev_plugins.simulator.highway.bev import bev_semantics
 from me3bev_plugins.simulator.highway.cameras import Cameras
 from me3bev_plugins.simulator.highway.collisions import CollisionTest, Hit
+from me3bev_plugins.simulator.highway.dress import DRESSES
 from me3bev_plugins.simulator.highway.ego import EgoVehicle, longitudinal_of
 from me3bev_plugins.simulator.highway.infractions import Infractions, RoadEdge, StopLines
 from me3bev_plugins.simulator.highway.interfaces import TownAction, TownObservation
@@ -26,7 +25,7 @@ from me3bev_plugins.simulator.highway.maps import load_town
 from me3bev_plugins.simulator.highway.picture import camera_sheet
 from me3bev_plugins.simulator.highway.plan_view import plan_view
 from me3bev_plugins.simulator.highway.reward import reward
-from me3bev_plugins.simulator.highway.rig import shrunk, surround_rig
+from me3bev_plugins.simulator.highway.rig import surround_rig
 from me3bev_plugins.simulator.highway.roads import TownRoad, road_network
 from me3bev_plugins.simulator.highway.route_sampling import random_route
 from me3bev_plugins.simulator.highway.routes import Route, RouteTracker
@@ -36,6 +35,7 @@ from me3bev_plugins.simulator.highway.situation import Situation, assess, step_r
 from me3bev_plugins.simulator.highway.stock import AbstractEnv
 from me3bev_plugins.simulator.highway.town import Town
 from me3bev_plugins.simulator.highway.traffic import Traffic
+from me3bev_plugins.simulator.highway.views import Views
 
 FREQUENCY = 10
 """Steps per second, of the policy and of the simulation."""
@@ -66,6 +66,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         UserError: for any other wrong argument.
     """
 
+    dresses = DRESSES
     metadata = {"render_modes": ["rgb_array"], "render_fps": FREQUENCY}
     action_type: TownAction
     observation_type: TownObservation
@@ -109,7 +110,6 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         self._keeping = LaneKeeping(self.town)
         # highway-env resets once while constructing; a world that nobody has seeded yet is not worth building.
         self._ready = False
-        self._scaled: dict[float, Cameras] = {}
         super().__init__({"simulation_frequency": FREQUENCY, "policy_frequency": FREQUENCY}, render_mode)
         self._ready = True
 
@@ -256,22 +256,17 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
         """The centre line (P, 3) of the route that is to be driven, world frame, metres."""
         return self.route.points[(self.route.s >= 0) & (self.route.s <= self.route.length)]
 
-    def look_from(self, ahead: float, left: float, turn: float, scale: float = 1.0) -> View:
+    @cached_property
+    def _views(self) -> Views:
+        return Views(self.town, self.rig, self.cameras)
+
+    def look_from(self, ahead: float, left: float, turn: float, scale: float = 1.0, dress: int = 0) -> View:
         """What would be seen from another place on the ground: metres from the ego, radians to its left.
 
-        In a world `scale` times as large; seen by cameras as much smaller, that is the same.
+        In a world `scale` times as large; seen by cameras as much smaller, that is the same. In another of the town's
+        dresses, if it is not 0; see `dressed`.
         """
-        here = self.vehicle.pose
-        c, s = math.cos(here.heading), math.sin(here.heading)
-        x, y = here.x + c * ahead - s * left, here.y + s * ahead + c * left
-        scene = replace(self.scene, ego=replace(here, x=x, y=y, heading=here.heading + turn))
-        if scale not in self._scaled:
-            self._scaled[scale] = self.cameras if scale == 1.0 else Cameras(self.town, shrunk(self.rig, scale))
-        cameras = self._scaled[scale]
-        images = np.empty((len(self.rig.cameras), 3, *self.rig.image_size), np.uint8)
-        cameras.render(scene, images)
-        depth, classes = cameras.truth(scene)
-        return View(images, depth * np.float32(scale), classes, bev_semantics(scene, cell=0.5 / scale))
+        return self._views.look(self.scene, ahead, left, turn, scale, dress)
 
     def plan_view(self, size: int) -> NDArray[np.uint8]:
         """The surroundings from above with what is left of the route, the ego heading up: (size, size, 3) r, g, b."""

@@ -133,7 +133,7 @@ def test_the_grids_trunk_costs_less_than_the_cameras() -> None:
     with torch.device("meta"):
         trunk = Trunk("efficientnet_b0", 16, neck=128)
         config = LiftSplat.Config()
-        tokens = (config.token_rows, config.token_columns, config.token_width)
+        tokens = config.tokens()
         ground = 3 * config.ground_samples**2 + 1
         bev = BEVTrunk(config.channels + ground, config.bev_channels, config.bev_blocks, tokens)
         images, grid = torch.zeros(len(rig.cameras), 3, 128, 352), torch.zeros(1, config.channels + ground, 200, 200)
@@ -150,7 +150,7 @@ def test_tokens_are_a_grid_over_the_map() -> None:
     config = LiftSplat.Config(**(SMALL | {"token_rows": 4, "token_columns": 4}))
     torch.manual_seed(0)
     # Receptive fields are wide: without normalisation, which looks at the whole map, most stays where it is.
-    trunk = BEVTrunk(3, (4, 6, 8), 1, (config.token_rows, config.token_columns, config.token_width)).double()
+    trunk = BEVTrunk(3, (4, 6, 8), 1, config.tokens()).double()
     for module in trunk.modules():
         if isinstance(module, nn.GroupNorm):
             module.forward = lambda x: x  # type: ignore[method-assign]
