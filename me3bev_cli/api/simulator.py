@@ -155,6 +155,10 @@ class MapLibrary(Protocol):
         """Forget an imported map. Raises UserError for a built-in or unknown one."""
         ...
 
+    def map_digest(self, name: str) -> str | None:
+        """Letters that are others when an imported map is; None for a built-in one, which the code decides."""
+        ...
+
     def map_facts(self, name: str) -> tuple[FactRow, ...]:
         """What is measured on a map. Raises UserError for an unknown one."""
         ...

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 Simulator = Annotated[str, typer.Option(help="Whose maps.", metavar="NAME")]
 Json = Annotated[str | None, typer.Option(help="Write it as JSON.", metavar="FILE|-")]
 HIGHWAY = "highway"
-PARTS = ("map_entries", "import_map", "remove_map", "map_facts", "map_plan")
+PARTS = ("map_entries", "import_map", "remove_map", "map_digest", "map_facts", "map_plan")
 """What a simulator must have to be a `MapLibrary`."""
 
 app = typer.Typer(help="List, show, measure and import maps.", no_args_is_help=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,17 @@ from me3bev_cli import registry
 from me3bev_cli.errors import CheckpointError
 from me3bev_cli.evaluation.crew import ROWS
 from me3bev_cli.evaluation.player import Method
+from me3bev_cli.evaluation.runner import World
 
 IMAGE_KEYS = ("cameras", "height", "width")
 """Of the observation; drivers that do not look do not depend on them."""
 
 
-def identity(method: Method, seed: int) -> dict[str, Any]:
-    """Everything that decides a method's episodes but the map, the density and the index.
+def identity(method: Method, seed: int, maps: Sequence[str]) -> dict[str, Any]:
+    """Everything that decides a method's episodes but the map's name, the density and the index.
+
+    Args:
+        maps: what is driven on; of imported ones the files count too.
 
     Raises:
         CheckpointError: the policy's weights are not there.
@@ -38,6 +42,9 @@ def identity(method: Method, seed: int) -> dict[str, Any]:
         "weather": list(world.weather or ()),
         "seed": seed,
     }
+    imported = _imported(world, maps)
+    if imported:
+        found["maps"] = imported
     if spec.recipe is not None:
         from me3bev_cli.pipeline.assemble import pick_device
         from me3bev_cli.recipe_loading import dump
@@ -65,6 +72,15 @@ def code_digest(plugin: type[Any]) -> str:
             name = path.relative_to(source.parent).as_posix()
             digest.update(f"{name}\0".encode() + hashlib.blake2b(path.read_bytes(), digest_size=16).digest())
     return digest.hexdigest()
+
+
+def _imported(world: World, maps: Sequence[str]) -> dict[str, str]:
+    """What the files of imported maps hold; nothing where the simulator keeps no maps of its own."""
+    digest_of = getattr(world.open(), "map_digest", None)
+    if digest_of is None:
+        return {}
+    digests = {name: digest_of(name) for name in maps}
+    return {name: digest for name, digest in digests.items() if digest is not None}
 
 
 def _weights(run: Path, checkpoint: str) -> str:

@@ -54,7 +54,7 @@ class Evaluation:
     @cached_property
     def identities(self) -> list[dict[str, Any]]:
         """What decides each method's episodes."""
-        return [identity(method, self.seed) for method in self.methods]
+        return [identity(method, self.seed, self.maps) for method in self.methods]
 
     @property
     def manifest(self) -> Manifest:

@@ -151,9 +151,10 @@ def _row(row: Mapping[str, Any]) -> Row:
 
 
 def _runs_of(evaluation: Evaluation) -> list[Path]:
-    """The runs whose policies an evaluation is of, those that are still there."""
+    """The runs whose policies an evaluation is of, those that are still there: where it says, or among the runs."""
     named = [Path(method["run"]) for method in evaluation.methods if method.get("run")]
-    return [run for run in named if is_run(run)]
+    places = ([run, runs_root() / run.name] for run in named)
+    return [found[0] for found in ([place for place in pair if is_run(place)] for pair in places) if found]
 
 
 def _latency(path: Path) -> dict[str, Any]:

@@ -38,6 +38,9 @@ class Atlas(plugin_fakes.World):
         if name == "T1":
             raise MapError("'T1' is built in")
 
+    def map_digest(self, name: str) -> str | None:
+        return None
+
     def map_facts(self, name: str) -> tuple[FactRow, ...]:
         return (
             FactRow("lanes", 14.331, "km", 14.0, "15 %", True),

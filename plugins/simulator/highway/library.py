@@ -65,6 +65,10 @@ class TownLibrary:
         """Forget an imported town. Raises MapError for a built-in or unknown one."""
         store.remove(name)
 
+    def map_digest(self, name: str) -> str | None:
+        """Of an imported town's file; None for a built-in one. Raises MapError."""
+        return store.digest(name)
+
     def map_facts(self, name: str) -> tuple[FactRow, ...]:
         """What is measured on a town, beside the real one's figures where it has a model. Raises MapError."""
         from me3bev_plugins.simulator.highway.maps import load_town

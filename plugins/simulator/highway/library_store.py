@@ -6,6 +6,7 @@ Names and descriptions are read without opening a town; nothing here imports num
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import struct
@@ -135,6 +136,23 @@ def description(path: Path) -> str:
     if head[:4] != _HEADER[:4] or b"\0" not in head[len(_HEADER) :]:
         return ""
     return head[len(_HEADER) :].partition(b"\0")[0].decode("latin-1")
+
+
+def digest(name: str) -> str | None:
+    """Letters that are others when an imported town's file is; None for a built-in one.
+
+    Raises:
+        MapError: there is none of that name, or its file cannot be read.
+    """
+    if name in MAPS:
+        return None
+    known = imported(strict=True)
+    if name not in known:
+        raise unknown_name("map", name, available(), kind=MapError)
+    try:
+        return hashlib.blake2b(known[name].read_bytes(), digest_size=16).hexdigest()
+    except OSError as fault:
+        raise _refused("cannot be read", known[name], fault) from fault
 
 
 def remove(name: str) -> None:

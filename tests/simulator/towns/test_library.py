@@ -49,6 +49,27 @@ def test_an_imported_town_is_there_from_then_on(world: Highway, data: Path, ring
         load_town("Ring")
 
 
+def test_an_evaluations_identity_knows_the_file_of_an_imported_town(world: Highway, data: Path, ring: Path) -> None:
+    """Logs of a map that was replaced must not be taken for those of the new one."""
+    from me3bev_cli.api import ObservationConfig
+    from me3bev_cli.evaluation.drivers import DriverSpec
+    from me3bev_cli.evaluation.identity import identity
+    from me3bev_cli.evaluation.player import Method
+    from me3bev_cli.evaluation.runner import World
+    from me3bev_cli.recipe import PluginChoice
+
+    world.import_map(ring, None, False)
+    method = Method(DriverSpec("idle", "idle"), World(PluginChoice(name="highway"), ObservationConfig()))
+    first = identity(method, 0, ["T1", "Ring"])
+    assert list(first["maps"]) == ["Ring"]
+    assert "maps" not in identity(method, 0, ["T1"])
+    file = data / "maps" / "Ring.xodr.gz"
+    file.write_bytes(file.read_bytes()[:-1] + b"x")
+    changed = identity(method, 0, ["T1", "Ring"])
+    assert changed["maps"] != first["maps"]
+    assert changed | {"maps": 0} == first | {"maps": 0}
+
+
 def test_gymnasium_drives_an_imported_town(world: Highway, ring: Path) -> None:
     world.import_map(ring, "mine", False)
     env = gymnasium.make("me3bev/Town-v0", map="mine", images=False, vehicles=3, pedestrians=3)
