@@ -9,22 +9,12 @@ from statistics import mean
 from typing import Any
 
 import pytest
+from scripted_world import RECIPE
 from typer.testing import CliRunner, Result
 
 from me3bev_cli.evaluation.episode import Episode, load
 from me3bev_cli.evaluation.metrics import METRICS, measure
 from me3bev_cli.main import app
-
-RECIPE = """
-name: by-script
-simulator: {name: scripted, map: M1, density: high, horizon: 40}
-observation: {height: 16, width: 16, cameras: [front, back]}
-modalities: [vr, nav]
-encoders: {vr: {hidden: [8], width: 8}, nav: {hidden: [8], width: 8}}
-temporal: null
-fusion: {name: concat}
-stages: [{kind: ppo, steps: 10}]
-"""
 
 
 @pytest.fixture

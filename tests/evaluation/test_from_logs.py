@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from scripted_world import RECIPE
 from typer.testing import CliRunner, Result
 
 from me3bev_cli.evaluation.definitions import METRICS
@@ -17,17 +18,6 @@ from me3bev_cli.evaluation.runner import World
 from me3bev_cli.main import app
 from me3bev_cli.recipe_loading import resolve_recipe
 
-SCRIPTED = """
-name: by-script
-simulator: {name: scripted, map: M1, density: high, horizon: 40}
-observation: {height: 16, width: 16, cameras: [front, back]}
-modalities: [vr, nav]
-encoders: {vr: {hidden: [8], width: 8}, nav: {hidden: [8], width: 8}}
-temporal: null
-fusion: {name: concat}
-stages: [{kind: ppo, steps: 10}]
-"""
-
 
 def run(*arguments: object) -> Result:
     return CliRunner().invoke(app, ["eval", *map(str, arguments)])
@@ -37,7 +27,7 @@ def run(*arguments: object) -> Result:
 def evaluation(scripted: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A finished one of two drivers on two maps."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "by-script.yaml").write_text(SCRIPTED)
+    (tmp_path / "by-script.yaml").write_text(RECIPE)
     options = ("--recipe", "by-script.yaml", "--maps", "M1,M2", "--episodes", 3, "--workers", 0, "--out", "done")
     result = run("--driver", "random", "--driver", "autopilot", *options, "--baseline", "autopilot")
     assert result.exit_code == 0, result.output

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from scripted_world import RECIPE
 from typer.testing import CliRunner, Result
 
 from me3bev_cli.main import app
@@ -14,16 +15,6 @@ from me3bev_cli.pipeline.assemble import build_network
 from me3bev_cli.recipe_loading import dump, resolve_recipe
 from me3bev_cli.training.checkpoint import Progress, save_checkpoint
 
-RECIPE = """
-name: by-script
-simulator: {name: scripted, map: M1, density: high, horizon: 40}
-observation: {height: 16, width: 16, cameras: [front, back]}
-modalities: [vr, nav]
-encoders: {vr: {hidden: [8], width: 8}, nav: {hidden: [8], width: 8}}
-temporal: null
-fusion: {name: concat}
-stages: [{kind: ppo, steps: 10}]
-"""
 OPTIONS = ("--maps", "M1,M2", "--episodes", "6", "--workers", "0")
 
 

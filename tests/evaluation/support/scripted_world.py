@@ -17,6 +17,17 @@ from me3bev_cli.seeding import derive_seed
 
 WEATHERS = ("dry", "wet", "white")
 
+RECIPE = """
+name: by-script
+simulator: {name: scripted, map: M1, density: high, horizon: 40}
+observation: {height: 16, width: 16, cameras: [front, back]}
+modalities: [vr, nav]
+encoders: {vr: {hidden: [8], width: 8}, nav: {hidden: [8], width: 8}}
+temporal: null
+fusion: {name: concat}
+stages: [{kind: ppo, steps: 10}]
+"""
+
 
 class ScriptedEnv(gymnasium.Env[dict[str, Any], Any]):
     """Speeds are drawn from the seed, faster with the pedal; a step in fifty is a collision; the route is 30 m."""
