@@ -28,6 +28,10 @@ def train(
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Override a key of the recipe.", metavar="KEY=VALUE")
     ] = None,
+    perception: Annotated[
+        Path | None,
+        typer.Option(help="A run with the same perception stage, that is not trained again then.", metavar="RUN"),
+    ] = None,
     seeds: Annotated[
         str | None, typer.Option(help="As 0,1,2: a batch, one run NAME-seedK for each recipe and seed.")
     ] = None,
@@ -39,8 +43,8 @@ def train(
     recipes = recipes or []
     if bool(recipes) == (resume is not None):
         raise UserError("name a recipe to train or a run to go on with", hint="`me3bev train RECIPE` or `--resume RUN`")
-    if resume is not None and (overrides or seeds is not None):
-        where = "--set" if overrides else "--seeds"
+    if resume is not None and (overrides or seeds is not None or perception is not None):
+        where = "--set" if overrides else "--seeds" if seeds is not None else "--perception"
         raise UserError("a run goes on with its own recipe", where=where, hint="Start a new run to change it")
     from me3bev_cli.recipe_loading import resolve_recipe
     from me3bev_cli.training import batch
@@ -52,12 +56,12 @@ def train(
         run = open_run(resume)
         _run(resolve_recipe(str(run / "recipe.yaml")), run, threads, json)
     elif len(recipes) > 1 or seeds is not None:
-        _batch(batch.prepare(recipes, seeds, overrides or [], out), parallel, threads, json)
+        _batch(batch.prepare(recipes, seeds, overrides or [], out, perception), parallel, threads, json)
     elif parallel > 1:
         raise UserError("there is one run only", where="--parallel", hint="--seeds 0,1,2 makes a batch")
     else:
         loaded = resolve_recipe(recipes[0], overrides or [])
-        _run(loaded, choose_run(loaded, out), threads, json)
+        _run(loaded, choose_run(loaded, out), threads, json, perception)
 
 
 def _batch(runs: list[Path], parallel: int, threads: int | None, json_target: str | None) -> None:
@@ -84,7 +88,9 @@ def _batch(runs: list[Path], parallel: int, threads: int | None, json_target: st
         raise typer.Exit(1)
 
 
-def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None) -> None:
+def _run(
+    recipe: Recipe, run: Path, threads: int | None, json_target: str | None, perception: Path | None = None
+) -> None:
     """Train to the end or to Ctrl-C, and say how to go on."""
     import json
 
@@ -92,11 +98,11 @@ def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None
 
     from me3bev_cli.allocator import keep_freed_memory
     from me3bev_cli.output import write_json
-    from me3bev_cli.recipe_loading import dump
     from me3bev_cli.stopping import Stop
     from me3bev_cli.training.best import best_line, read_best
     from me3bev_cli.training.display import Display
-    from me3bev_cli.training.run import is_run, make_run, training_in
+    from me3bev_cli.training.run import is_run, training_in
+    from me3bev_cli.training.takeover import begin_run
     from me3bev_cli.training.trainer import InterruptedTrainingError, Trainer
 
     if threads is not None:
@@ -109,7 +115,7 @@ def _run(recipe: Recipe, run: Path, threads: int | None, json_target: str | None
         # The network is built before the folder is made: a recipe that cannot be built leaves nothing behind.
         trainer = Trainer(recipe, run, display, stop)
         if not is_run(run):
-            make_run(run, dump(recipe))
+            begin_run(recipe, run, perception)
         with training_in(run):
             trainer.resume()
             display.begin(trainer.progress.total_steps, read_best(run))

@@ -63,7 +63,8 @@ def _caption(results: Results) -> str:
     text = "Means over episodes; the average is that of the maps' means. Best in bold."
     if results.comparisons:
         baseline = escape(results.comparisons[0].baseline)
-        text += f" $^{{+}}$/$^{{-}}$: better/worse than {baseline} on the same seeds (95\\% bootstrap interval, each figure by itself)."
+        text += f" $^{{+}}$/$^{{-}}$: better/worse than {baseline} on the same seeds "
+        text += "(95\\% bootstrap interval, each figure by itself)."
     return f"{text} In italics: {escape(NOTE)}" if results.published else text
 
 

@@ -31,7 +31,8 @@ def markdown_text(results: Results) -> str:
     text = "\n\n".join(blocks) + "\n\n↑ higher is better, ↓ lower; the best of each column in bold.\n"
     if results.comparisons:
         baseline = escape(results.comparisons[0].baseline)
-        text += f"▲ better, ▼ worse than {baseline} on the same seeds (the 95 % interval leaves out 0; each figure by itself).\n"
+        text += f"▲ better, ▼ worse than {baseline} on the same seeds (the 95 % interval leaves out 0; each figure by "
+        text += "itself).\n"
     return f"{text}{NOTE}\n" if results.published else text
 
 

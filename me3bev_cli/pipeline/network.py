@@ -63,7 +63,11 @@ class Network(nn.Module):
         self._fixed = {name for name, p in self.named_parameters() if not p.requires_grad}
 
     def freeze(self, modules: Iterable[nn.Module]) -> None:
-        """Let everything learn but `modules` and what a plugin itself has fixed."""
+        """Let everything learn but `modules` and what a plugin itself has fixed.
+
+        Gradients that a stage before left are dropped: those of frozen parts would count whenever any are clipped.
+        """
+        self.zero_grad()
         for name, parameter in self.named_parameters():
             parameter.requires_grad_(name not in self._fixed)
         for module in modules:

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -51,13 +51,20 @@ def parse_seeds(text: str) -> list[int]:
     return list(dict.fromkeys(seeds))
 
 
-def prepare(recipes: Sequence[str], seeds: str | None, overrides: Sequence[str], out: Path | None) -> list[Path]:
+def prepare(
+    recipes: Sequence[str],
+    seeds: str | None,
+    overrides: Sequence[str],
+    out: Path | None,
+    perception: Path | None = None,
+) -> list[Path]:
     """The run folders NAME-seedK of a batch, made where they are not there yet.
 
     Args:
         recipes: files or shipped names.
         seeds: as `parse_seeds` takes them; None: each recipe's own.
         out: where; None: the folder of runs.
+        perception: a run from which those whose recipes begin with perception take what it teaches.
 
     Raises:
         UserError: a recipe is wrong, two have the same name, or a folder holds a run of another recipe.
@@ -77,10 +84,23 @@ def prepare(recipes: Sequence[str], seeds: str | None, overrides: Sequence[str],
             raise RunError(f"{run} is a run of another recipe", hint="--out FOLDER keeps this batch apart")
         if not is_run(run) and run.exists() and any(run.iterdir()):
             raise RunError(f"{run} exists and is no run", hint="--out FOLDER keeps this batch apart")
-    for run, recipe in planned.items():
-        if not is_run(run):
-            make_run(run, dump(recipe))
+    _make({run: recipe for run, recipe in planned.items() if not is_run(run)}, perception)
     return list(planned)
+
+
+def _make(planned: Mapping[Path, Recipe], perception: Path | None) -> None:
+    """Make run folders; none if one of them cannot begin with the perception of another run."""
+    if perception is None:
+        for run, recipe in planned.items():
+            make_run(run, dump(recipe))
+        return
+    from me3bev_cli.training.takeover import begin_run, check_takeover
+
+    looking = {run: recipe for run, recipe in planned.items() if recipe.stages[0].kind == "perception"}
+    for recipe in looking.values():
+        check_takeover(recipe, perception)
+    for run, recipe in planned.items():
+        begin_run(recipe, run, perception if run in looking else None)
 
 
 def unfinished(folder: Path) -> list[Path]:
