@@ -48,6 +48,8 @@ class SemanticDecoder(nn.Module):
     """
 
     places: Tensor | None
+    class_weights: Tensor
+    """(8,), of the cross entropy by which it is learned."""
 
     def __init__(self, latent: LatentSpec, pretrained: bool | str = False) -> None:
         super().__init__()
@@ -74,6 +76,7 @@ class SemanticDecoder(nn.Module):
             nn.Conv2d(JOINED, len(BEV_CLASSES) * finer**2, 3, padding=1), nn.PixelShuffle(finer)
         )
 
+        self.register_buffer("class_weights", torch.ones(len(BEV_CLASSES)))
         uneven = even_places(SIZE, TokenSpec(latent.rows, latent.columns, latent.channels, latent.focus))
         self.register_buffer("places", uneven if latent.focus != 1 else None, persistent=False)
 

@@ -30,7 +30,7 @@ from me3bev_cli.decoding.plan import Plan
 from me3bev_cli.decoding.pool import Batch, Kept, Pool, kept
 from me3bev_cli.decoding.scores import NEAR
 from me3bev_cli.decoding.store import keep_training
-from me3bev_cli.perception.losses import balanced_weights, cell_weights, segmentation_losses
+from me3bev_cli.perception.losses import balanced_weights, cell_weights, likeliest, segmentation_losses
 from me3bev_cli.perception.truth import SEEN, classes_of, seen_in
 from me3bev_cli.seeding import derive_seed
 from me3bev_cli.stopping import Stop
@@ -145,6 +145,8 @@ class Training:
             if self.class_weights is None:
                 counts = self.frequency.sum((1, 2)) + _frequency(held_out).sum((1, 2))
                 self.class_weights = balanced_weights(counts, BALANCE).to(self.device)
+                for decoder in self.decoders.values():
+                    decoder.class_weights.copy_(self.class_weights)
         rng = np.random.default_rng(derive_seed(self.plan.seed, "decode", "minibatches", self.round))
         chosen = rng.integers(0, len(self.pool), (self.plan.check, self.plan.batch))
         self._rate = (time.monotonic(), self.step)
@@ -256,7 +258,8 @@ def _frequency(frames: Sequence[Kept]) -> Tensor:
 @torch.inference_mode()
 def decoded_maps(decoder: SemanticDecoder, latents: Tensor) -> NDArray[np.uint8]:
     """The likeliest class of each cell (N, 200, 200)."""
-    array: NDArray[np.uint8] = decoder(latents).argmax(1).to(torch.uint8).cpu().numpy()
+    found = likeliest(decoder(latents).float(), decoder.class_weights)
+    array: NDArray[np.uint8] = found.to(torch.uint8).cpu().numpy()
     return array
 
 

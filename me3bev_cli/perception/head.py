@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import cast
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
@@ -26,6 +27,8 @@ class SegmentationHead(nn.Module):
     """
 
     places: Tensor | None
+    class_weights: Tensor
+    """(8,), of the cross entropy by which it is learned."""
 
     def __init__(self, channels: int, size: tuple[int, int], width: int, tokens: TokenSpec | None = None) -> None:
         super().__init__()
@@ -33,6 +36,7 @@ class SegmentationHead(nn.Module):
         self.first = nn.Conv2d(channels, width, 3, padding=1)
         self.scores = nn.Conv2d(width, len(BEV_CLASSES) * finer**2, 3, padding=1)
         self.shuffle = nn.PixelShuffle(finer)
+        self.register_buffer("class_weights", torch.ones(len(BEV_CLASSES)))
         uneven = tokens is not None and tokens.focus != 1
         self.register_buffer("places", even_places(CELLS, tokens) if tokens and uneven else None, persistent=False)
 

@@ -28,6 +28,7 @@ class Learner:
         self.model, self.stage = model, stage
         self.device = next(model.parameters()).device
         self.class_weights = class_weights.to(self.device)
+        model.weigh(self.class_weights)
         self.parameters = [p for p in model.parameters() if p.requires_grad]
         self.optimizer = torch.optim.AdamW(
             self.parameters, lr=stage.learning_rate.initial, weight_decay=stage.weight_decay

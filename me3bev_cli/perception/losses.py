@@ -55,6 +55,19 @@ def balanced_weights(counts: Tensor, power: float) -> Tensor:
     return (lifted / (lifted * share).sum()).float()
 
 
+def likeliest(scores: Tensor, class_weights: Tensor) -> Tensor:
+    """The likeliest class of each cell, (N, X, Y) int64.
+
+    Scores that were learned with weights on the classes say what would be likely if rare classes were so much more
+    frequent; here that is taken back.
+
+    Args:
+        scores: (N, K, X, Y).
+        class_weights: (K,), of the cross entropy that they were learned by.
+    """
+    return (scores - class_weights.to(scores.dtype).log()[:, None, None]).argmax(1)
+
+
 def cell_weights(seen: Tensor, hidden: float, near: slice) -> Tensor:
     """1 for the cells in sight or near, `hidden` for the others; `seen` is (N, X, Y) bool."""
     clear = seen.clone()

@@ -19,6 +19,7 @@ from me3bev_cli.errors import CheckpointError
 from me3bev_cli.files import atomic_write_bytes
 from me3bev_cli.perception.grid import REACH
 from me3bev_cli.perception.head import SegmentationHead
+from me3bev_cli.perception.losses import likeliest
 from me3bev_cli.perception.truth import DepthBins
 from me3bev_cli.pipeline.network import Network
 
@@ -87,9 +88,14 @@ class PerceptionModel(nn.Module):
         with nullcontext() if autocast is None else torch.autocast(images.device.type, autocast):
             seen = self(images, tokens)
         scores = seen.scores if seen.token_scores is None else seen.token_scores
-        found = scores.argmax(1)
+        found = likeliest(scores.float(), self.head.class_weights)
         array: NDArray[Any] = found.to(torch.uint8).cpu().numpy()
         return array
+
+    def weigh(self, class_weights: Tensor) -> None:
+        """Say by which weights of the classes (8,) the heads are learned."""
+        for head in (self.head, self.token_head):
+            head.class_weights.copy_(class_weights)
 
     def heads(self) -> nn.ModuleDict:
         """Both heads by name: what is not the policy's."""

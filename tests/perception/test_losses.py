@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from me3bev_cli.perception.losses import balanced_weights, cell_weights, depth_loss, segmentation_losses
+from me3bev_cli.perception.losses import balanced_weights, cell_weights, depth_loss, likeliest, segmentation_losses
 
 
 def naive(scores: torch.Tensor, truth: torch.Tensor, classes: torch.Tensor, cells: torch.Tensor) -> tuple[float, float]:
@@ -72,3 +72,12 @@ def test_far_cells_out_of_sight_count_less() -> None:
     assert weights[0, 0].tolist() == [1.0, *[0.25] * 5]
     assert weights[0, 2].tolist() == [0.25, 0.25, 1.0, 1.0, 0.25, 0.25]
     assert not seen[0, 2, 2]
+
+
+def test_weights_that_were_learned_with_are_taken_back() -> None:
+    """Learned with weights w, the softmax of a cell is p w / sum(p w) where p is what is really likely."""
+    likely = torch.tensor([0.5, 0.3, 0.2], dtype=torch.float64)
+    weights = torch.tensor([0.5, 1.0, 4.0], dtype=torch.float64)
+    learned = (likely * weights / (likely * weights).sum()).log()[None, :, None, None]
+    assert learned.argmax(1).item() == 2
+    assert likeliest(learned, weights).item() == 0
