@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 from plugin_fakes import RECIPE, entry, every
 
+from me3bev_cli.api import TokenSpec
 from me3bev_cli.errors import RecipeError
 from me3bev_cli.recipe import Recipe
 from me3bev_cli.recipe_check import check_recipe
@@ -165,7 +166,7 @@ def test_without_images_no_spatial_plugin_is_asked(recipe: Write) -> None:
 
 def test_the_sizes_that_the_stages_agreed_on(recipe: Write) -> None:
     fit = check_recipe(resolve_recipe(recipe()))
-    assert fit.tokens["bev"] == (2, 2, 16)
+    assert fit.tokens["bev"] == TokenSpec(2, 2, 16)
     assert dict(fit.widths) == {"bev": 32, "vr": 32, "nav": 32}
     assert fit.fused == 32
     assert fit.rig.image_size == (32, 64)

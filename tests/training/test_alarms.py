@@ -21,7 +21,7 @@ from me3bev_cli.parallel_envs import ParallelEnvs
 from me3bev_cli.recipe_alarms import Alarms
 from me3bev_cli.recipe_loading import dump, resolve_recipe
 from me3bev_cli.stopping import Stop
-from me3bev_cli.training import checkpoint
+from me3bev_cli.training import folders
 from me3bev_cli.training.alarms import (
     AstrayError,
     DiskError,
@@ -29,7 +29,15 @@ from me3bev_cli.training.alarms import (
     Watch,
     guard_gradients,
 )
-from me3bev_cli.training.checkpoint import checkpoints, clear_leftovers, find_checkpoint, load_progress
+from me3bev_cli.training.best import SCORE, read_best
+from me3bev_cli.training.checkpoint import (
+    Progress,
+    checkpoints,
+    clear_leftovers,
+    find_checkpoint,
+    load_progress,
+    save_best,
+)
 from me3bev_cli.training.curve import read_metrics
 from me3bev_cli.training.display import Display
 from me3bev_cli.training.kill_check import same_weights
@@ -167,7 +175,7 @@ def test_a_full_disk_keeps_the_last_checkpoint(
     run = tmp_path / "run"
     with monkeypatch.context() as patch:
         # A checkpoint has four files: the third one of the second checkpoint does not fit.
-        patch.setattr(checkpoint, "_write", full(checkpoint._write, 6))
+        patch.setattr(folders, "_write", full(folders._write, 6))
         result = CliRunner().invoke(app, ["train", str(line_recipe), "--out", str(run)])
     assert result.exit_code == 2
     assert "step_000000128: cannot be written: No space left on device" in result.stderr
@@ -176,6 +184,19 @@ def test_a_full_disk_keeps_the_last_checkpoint(
     )
     assert [path.name for path in (run / "checkpoints").iterdir()] == ["step_000000064"]
     assert CliRunner().invoke(app, ["train", "--resume", str(run)]).exit_code == 0
+
+
+def test_a_full_disk_keeps_the_best_so_far(line_recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    one = trainer(line_recipe, tmp_path / "run")
+    first = save_best(one.run, one.network, one.recipe, Progress(total_steps=10), {SCORE: 1.0})
+    with monkeypatch.context() as patch:
+        patch.setattr(folders, "_write", full(folders._write, 2))
+        with pytest.raises(DiskError, match="best_000000020: cannot be written"):
+            save_best(one.run, one.network, one.recipe, Progress(total_steps=20), {SCORE: 2.0})
+    assert list(first.parent.iterdir()) == [first]
+    assert read_best(one.run) == {"steps": 10, SCORE: 1.0}
+    second = save_best(one.run, one.network, one.recipe, Progress(total_steps=20), {SCORE: 2.0})
+    assert list(first.parent.iterdir()) == [second]
 
 
 def test_a_log_that_cannot_be_written_stops_the_run(line_recipe: Path, tmp_path: Path) -> None:
@@ -193,7 +214,7 @@ def test_torch_tells_what_the_file_told(tmp_path: Path) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("the system has no device that is always full")
     with pytest.raises(OSError, match="No space left") as error:
-        checkpoint._write(Path("/dev/full"), lambda file: torch.save({"a": torch.zeros(100_000)}, file))
+        folders._write(Path("/dev/full"), lambda file: torch.save({"a": torch.zeros(100_000)}, file))
     assert error.value.errno == errno.ENOSPC
 
 
