@@ -162,3 +162,21 @@ def test_tokens_are_a_grid_over_the_map() -> None:
         change = (trunk(marked)[0].view(4, 4, -1) - plain).abs().sum(-1)
         assert change.argmax() == 4 * row + column
         assert change[3 - row, 3 - column] == 0
+
+
+def test_a_stretch_moves_the_grid_before_anything_is_computed_on_it() -> None:
+    """A stretch that changes nothing gives what no stretch gives; one that mirrors the rows sees ahead behind."""
+    rig = naive.rig(height=64, width=96)
+    module = make(rig, x_range=(-16.0, 16.0), y_range=(-16.0, 16.0), bev_stride=1).eval()
+    images = torch.randn(2, 6, 3, 64, 96)
+    with torch.inference_mode():
+        plain = module(images)
+        assert plain.grid is not None
+        rows = LiftSplat.grid_spec(module.config, rig).rows
+        own = ((torch.arange(rows) + 0.5) * 2 / rows - 1).expand(2, 2, rows)
+        same = module(images, stretch=own)
+        torch.testing.assert_close(same.tokens, plain.tokens, atol=1e-4, rtol=1e-4)
+        mirrored = module(images, stretch=torch.stack([-own[:, 0], own[:, 1]], 1))
+    assert mirrored.grid is not None
+    assert (mirrored.grid - plain.grid.flip(2)).abs().mean() < (mirrored.grid - plain.grid).abs().mean()
+    torch.testing.assert_close(mirrored.depth_logits, plain.depth_logits)
