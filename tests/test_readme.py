@@ -70,7 +70,7 @@ def test_commands_and_options_exist(line: str) -> None:
     words = shlex.split(line)[1:]
     while words and hasattr(command, "commands"):
         command = command.commands[words.pop(0)]
-    known = {option for parameter in command.params for option in parameter.opts}
+    known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
     assert {word for word in words if word.startswith("--")} <= known
 
 

@@ -77,8 +77,8 @@ class SemanticDecoder(nn.Module):
         )
 
         self.register_buffer("class_weights", torch.ones(len(BEV_CLASSES)))
-        uneven = even_places(SIZE, TokenSpec(latent.rows, latent.columns, latent.channels, latent.focus))
-        self.register_buffer("places", uneven if latent.focus != 1 else None, persistent=False)
+        tokens = TokenSpec(latent.rows, latent.columns, latent.channels, latent.focus)
+        self.register_buffer("places", even_places(SIZE, tokens), persistent=False)
 
     def forward(self, latent: Tensor) -> Tensor:
         """See the class."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from me3bev_cli.api import BEV_CLASSES, Rig
 from me3bev_cli.errors import LogError
-from me3bev_cli.perception.frames import SCALES, SWAY, TRUTH
+from me3bev_cli.perception.frames import SCALES, SWAY, TRUTH, draw_dress
 from me3bev_cli.perception.truth import Sight, mirrored_cameras
 from me3bev_cli.pipeline.assemble import configured
 from me3bev_cli.seeding import derive_seed
@@ -151,7 +151,7 @@ class Episodes:
 
     def _driven(self, take: Take) -> Iterator[Look]:
         env = self._environment(take)
-        stand = self._stand(take, getattr(env.unwrapped, "dresses", 0))
+        stand = self._stand(take, env.unwrapped)
         observation, _ = env.reset(seed=take.seed)
         time, done = 0.0, False
         while not done:
@@ -160,7 +160,7 @@ class Episodes:
             observation, _, terminated, truncated, info = env.step(env.unwrapped.autopilot())
             time, done = info["record"]["time"], terminated or truncated
 
-    def _stand(self, take: Take, dresses: int) -> Stand:
+    def _stand(self, take: Take, world: Any) -> Stand:
         rng = np.random.default_rng(derive_seed(take.seed, "stand"))
         left, turn = float(rng.uniform(-SWAY[0], SWAY[0])), float(rng.uniform(-SWAY[1], SWAY[1]))
         if not take.varied:
@@ -169,8 +169,7 @@ class Episodes:
             turn = float(rng.uniform(-np.pi, np.pi))
         mirrored = bool(rng.random() < 0.5) and self._mirror is not None
         scale = float(rng.choice(SCALES))
-        dress = int(rng.integers(1, dresses + 1)) if dresses and rng.random() < DRESSED else 0
-        return Stand(left, turn, scale, mirrored, dress)
+        return Stand(left, turn, scale, mirrored, draw_dress(world, rng, DRESSED))
 
     @cached_property
     def _rig(self) -> Rig:

@@ -13,8 +13,13 @@ _FINE = 4096
 """Points from which the way back from a place to the token is read."""
 
 
-def even_places(cells: int, tokens: TokenSpec) -> Tensor:
-    """Where, in the grid of tokens, each cell of an even map lies: (cells, cells, 2), as `grid_sample` wants it."""
+def even_places(cells: int, tokens: TokenSpec) -> Tensor | None:
+    """Where, in the grid of tokens, each cell of an even map lies: (cells, cells, 2), as `grid_sample` wants it.
+
+    None where tokens are all of one size, and their grid is an even map.
+    """
+    if tokens.focus == 1:
+        return None
     at = np.linspace(-1, 1, _FINE)
     centres = (np.arange(cells) + 0.5) * 2 / cells - 1
     axis = torch.from_numpy(np.interp(centres, tokens.place(at), at)).float()

@@ -153,16 +153,12 @@ class FrameSource:
         world = env.unwrapped
         if hasattr(world, "look_from"):
             far = rng.random() < self.roam
-            dress = self._dress(world, rng)
+            dress = draw_dress(world, rng, self.dress)
             images, depth, classes, bev = self._elsewhere(world, rng, dress) if far else _beside(world, rng, dress)
         else:
             images, bev = observation["images"].copy(), world.bev_semantics()
             depth, classes = world.camera_truth()
         return images, packed(bev, self._seen(depth, classes, bev)), self._shares(depth)
-
-    def _dress(self, world: Any, rng: np.random.Generator) -> int:
-        dresses = getattr(world, "dresses", 0)
-        return int(rng.integers(1, dresses + 1)) if dresses and rng.random() < self.dress else 0
 
     def _elsewhere(self, world: Any, rng: np.random.Generator, dress: int) -> View:
         """From a free place near by, looking any way; from the ego's own where none is found."""
@@ -210,6 +206,12 @@ class FrameSource:
         if depth is None:
             return np.zeros((cameras, len(self.depth.edges) - 1, *self.depth.size), np.uint8)
         return self.depth.shares(depth)
+
+
+def draw_dress(world: Any, rng: np.random.Generator, share: float) -> int:
+    """One of the map's other dresses, or 0, its own, where it has none; `share` is how often it is another."""
+    dresses = getattr(world, "dresses", 0)
+    return int(rng.integers(1, dresses + 1)) if dresses and rng.random() < share else 0
 
 
 def _beside(world: Any, rng: np.random.Generator, dress: int) -> View:

@@ -37,8 +37,8 @@ class SegmentationHead(nn.Module):
         self.scores = nn.Conv2d(width, len(BEV_CLASSES) * finer**2, 3, padding=1)
         self.shuffle = nn.PixelShuffle(finer)
         self.register_buffer("class_weights", torch.ones(len(BEV_CLASSES)))
-        uneven = tokens is not None and tokens.focus != 1
-        self.register_buffer("places", even_places(CELLS, tokens) if tokens and uneven else None, persistent=False)
+        places = None if tokens is None else even_places(CELLS, tokens)
+        self.register_buffer("places", places, persistent=False)
 
     def forward(self, grid: Tensor) -> Tensor:
         """See the class."""

@@ -7,7 +7,6 @@ is what the new run would have learned by itself, to the last bit on a CPU.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from me3bev_cli.errors import CheckpointError, RunError
-from me3bev_cli.files import atomic_write_text
+from me3bev_cli.files import atomic_write_bytes, atomic_write_text
 from me3bev_cli.perception.model import HEAD
 from me3bev_cli.pipeline.assemble import build_network
 from me3bev_cli.recipe import Recipe
@@ -45,38 +44,26 @@ def check_takeover(recipe: Recipe, source: Path) -> None:
 
 
 def begin_run(recipe: Recipe, run: Path, source: Path | None) -> None:
-    """Make the folder of a new run.
+    """Make the folder of a new run; with a source, the first checkpoint that it would have after its perception stages.
 
     Args:
-        source: a run whose perception it begins with; None: it trains its own, if it has any.
-
-    Raises:
-        RunError, CheckpointError: as `take_over`; nothing is left behind.
-    """
-    if source is not None:
-        check_takeover(recipe, source)
-    make_run(run, dump(recipe))
-    if source is not None:
-        take_over(recipe, run, source)
-
-
-def take_over(recipe: Recipe, run: Path, source: Path) -> None:
-    """Give a new run the first checkpoint that it would have after its perception stages.
-
-    Args:
-        run: a run folder without checkpoints.
-        source: a run whose first stages are the same.
+        source: a run whose first stages are the same; None: the run trains its own perception, if it has any.
 
     Raises:
         RunError: the other run's recipe differs in what perception depends on, or it has not come so far.
-        CheckpointError: its weights are damaged.
+        CheckpointError: its weights are damaged. Nothing is made in either case.
     """
-    stages, folder = _find(recipe, source)
+    if source is None:
+        make_run(run, dump(recipe))
+        return
+    stages, folder = _find(recipe, open_run(source))
+    eyes, head = _eyes(folder), (source / HEAD).read_bytes()
     steps = sum(stage.steps for stage in recipe.stages[:stages])
-    weights = build_network(recipe, recipe.seed).state_dict() | _eyes(folder)
     rows = [row for row in read_metrics(source) if row["steps"] <= steps and row.get("stage", stages) < stages]
+    make_run(run, dump(recipe))
     atomic_write_text(run / METRICS, "".join(json.dumps(row) + "\n" for row in rows))
-    shutil.copyfile(source / HEAD, run / HEAD)
+    atomic_write_bytes(run / HEAD, head)
+    weights = build_network(recipe, recipe.seed).state_dict() | eyes
     save_checkpoint(run, weights, recipe, Progress(stage=stages, total_steps=steps), {})
 
 
