@@ -14,6 +14,7 @@ from me3bev_cli.errors import UserError
 from me3bev_cli.evaluation.maps import shorten
 from me3bev_cli.evaluation.results import JSON
 from me3bev_cli.evaluation.summary import AVERAGE
+from me3bev_cli.pretrained import results_home
 
 METRIC = "driving_score"
 FOLDER = "eval"
@@ -55,7 +56,7 @@ def scores(subjects: Sequence[Subject]) -> list[Score]:
     """
     found: dict[tuple[str, str], tuple[tuple[bool, int], Score]] = {}
     for subject in subjects:
-        for path in sorted((subject.run / FOLDER).rglob(JSON)) if subject.run is not None else ():
+        for path in sorted((results_home(subject.run) / FOLDER).rglob(JSON)) if subject.run is not None else ():
             for score in _read(path, subject.name):
                 mine = subject.checkpoint is not None and score.checkpoint == subject.checkpoint.name
                 rank, key = (mine, path.stat().st_mtime_ns), (score.run, score.cell)

@@ -19,6 +19,7 @@ from me3bev_cli.bench.machine import machine
 from me3bev_cli.errors import UserError
 from me3bev_cli.evaluation.results import JSON
 from me3bev_cli.pipeline.assemble import pick_device
+from me3bev_cli.pretrained import NAME, box, results_home
 from me3bev_cli.stopping import Stop
 from me3bev_cli.training.checkpoint import checkpoints
 from me3bev_cli.training.run import is_run, runs_root, versions
@@ -97,6 +98,7 @@ def prepare(
         subjects = named(sources or _evaluated_runs())
     else:
         subjects, skipped = every_pair()
+        subjects = [*named([NAME]), *subjects]
     found = scores(subjects) if with_scores else []
     if threads is not None:
         torch.set_num_threads(threads)
@@ -108,6 +110,7 @@ def _evaluated_runs() -> list[str]:
     root = runs_root()
     runs = [path for path in sorted(root.iterdir()) if is_run(path)] if root.is_dir() else []
     found = [str(run) for run in runs if checkpoints(run) and any((run / FOLDER).rglob(JSON))]
+    found += [NAME] if any((results_home(box()) / FOLDER).rglob(JSON)) else []
     if not found:
         raise UserError(
             f"there is no evaluated run under {root}", where="--with-scores", hint="`me3bev eval --run RUN` makes one"

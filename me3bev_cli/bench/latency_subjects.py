@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from me3bev_cli import registry
 from me3bev_cli.errors import CheckpointError, PluginError, RecipeError
+from me3bev_cli.pretrained import find_run
 from me3bev_cli.recipe_loading import resolve_recipe
 from me3bev_cli.training.checkpoint import RECIPE, WEIGHTS, find_checkpoint
 from me3bev_cli.training.run import is_run
@@ -43,7 +44,7 @@ def named(sources: Sequence[str]) -> list[Subject]:
     Raises:
         UserError: one of them is missing or faulty.
     """
-    found = [_of_folder(Path(source)) if Path(source).is_dir() else _of_recipe(source) for source in sources]
+    found = [_of_folder(find_run(source)) if find_run(source).is_dir() else _of_recipe(source) for source in sources]
     counts, seen = Counter(subject.name for subject in found), Counter[str]()
     for index, subject in enumerate(found):
         if counts[subject.name] > 1:

@@ -22,7 +22,7 @@ def bench_latency(
     sources: Annotated[
         list[str] | None,
         typer.Argument(
-            help="Recipes, or run or checkpoint folders. Default: every pair of installed plugins at full size.",
+            help="Recipes, run or checkpoint folders, `pretrained`. Default: that and every pair at full size.",
             metavar="RECIPE|RUN",
         ),
     ] = None,

@@ -18,7 +18,7 @@ def collect(
         str | None,
         typer.Option(help="As clear_noon,night or all, training, evaluation. Default: the recipe's training set."),
     ] = None,
-    driver: Annotated[str, typer.Option(help="autopilot, idle, random, or a run folder.")] = "autopilot",
+    driver: Annotated[str, typer.Option(help="autopilot, idle, random, pretrained, or a run.")] = "autopilot",
     recipe: Annotated[str | None, typer.Option(help="Observation and world. Default: highway as it comes.")] = None,
     episodes: Annotated[int, typer.Option(help="For each map and density.", min=1)] = 5,
     workers: Annotated[int, typer.Option(help="Processes; 0: this one.", min=0)] = 0,

@@ -10,7 +10,7 @@ import typer
 
 
 def decode(
-    run: Annotated[Path | None, typer.Argument(help="A run. Default: the newest.")] = None,
+    run: Annotated[Path | None, typer.Argument(help="A run. Default: the newest, else pretrained.")] = None,
     evaluate: Annotated[
         bool, typer.Option("--eval", help="Only score; a decoder that lacks is trained first.")
     ] = False,

@@ -41,7 +41,9 @@ def drive(
         str | None, typer.Option(help="As night or rain,fog: each episode draws one. Default: as in eval.")
     ] = None,
     driver: Annotated[str | None, typer.Option(help="autopilot, idle, random, untrained, or a run.")] = None,
-    run: Annotated[Path | None, typer.Option(help="Run or checkpoint folder. Default: the newest run.")] = None,
+    run: Annotated[
+        Path | None, typer.Option(help="A run or checkpoint. Default: the newest run, else `pretrained`.")
+    ] = None,
     checkpoint: Annotated[str, typer.Option(help="Which of the run's checkpoints.")] = "last",
     recipe: Annotated[str | None, typer.Option(help="World of a --driver. Default: highway as it comes.")] = None,
     simulator: Annotated[str | None, typer.Option(help="Another than the recipe's.")] = None,

@@ -27,7 +27,10 @@ def evaluate(
     ] = None,
     run: Annotated[
         list[Path] | None,
-        typer.Option(help="Run or checkpoint folder, several times. Default: the newest run.", metavar="RUN"),
+        typer.Option(
+            help="Run or checkpoint, several times. Default: the newest run, else `pretrained`.",
+            metavar="RUN",
+        ),
     ] = None,
     checkpoint: Annotated[str, typer.Option(help="Which of the runs' checkpoints.")] = "last",
     driver: Annotated[

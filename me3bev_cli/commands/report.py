@@ -15,7 +15,8 @@ def report(
     runs: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Runs with evaluations, or folders of evaluations. Default: the newest run.", metavar="RUN..."
+            help="Runs with evaluations, or their folders. Default: the newest run, else `pretrained`.",
+            metavar="RUN...",
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder to write; an earlier report in it is replaced.")] = Path("report"),
@@ -34,12 +35,12 @@ def report(
     if clips < 0:
         raise UserError(f"{clips} is negative", where="--clips")
     from me3bev_cli.output import console
+    from me3bev_cli.pretrained import default_run
     from me3bev_cli.reporting.build import build, check_out
     from me3bev_cli.reporting.sources import gather
-    from me3bev_cli.training.run import require_newest_run
 
     check_out(out)
-    names = runs or [require_newest_run()]
+    names = runs or [default_run()]
     sources = gather(names, latency or ())
     built = build(sources, out, title, clips, [str(name) for name in names], _told)
     for sentence in (*built.warnings, *(f"a clip is left out: {reason}" for reason in built.left_out)):

@@ -30,7 +30,7 @@ def train(
     ] = None,
     perception: Annotated[
         Path | None,
-        typer.Option(help="A run with the same perception stage, that is not trained again then.", metavar="RUN"),
+        typer.Option(help="A run with the same perception, or `pretrained`: its eyes are taken.", metavar="RUN"),
     ] = None,
     seeds: Annotated[
         str | None, typer.Option(help="As 0,1,2: a batch, one run NAME-seedK for each recipe and seed.")

@@ -30,9 +30,10 @@ from me3bev_cli.evaluation.choice import choose_weather
 from me3bev_cli.evaluation.maps import parse_densities, parse_maps
 from me3bev_cli.output import write_json
 from me3bev_cli.pipeline.assemble import configured
+from me3bev_cli.pretrained import default_run, find_run, results_home
 from me3bev_cli.recipe import Recipe
 from me3bev_cli.recording.reader import log_files
-from me3bev_cli.training.run import open_run, require_newest_run
+from me3bev_cli.training.run import open_run
 
 SOURCES = {U_BEV: (U_BEV,), GRID: (GRID,), "both": (U_BEV, GRID)}
 SCORES = "scores.json"
@@ -175,8 +176,8 @@ def decode(run: Path | None, given: Settings, evaluate: bool, say: Callable[[str
         UserError: whatever is wrong with run, options or logs.
         KeyboardInterrupt: Ctrl-C; the same command goes on.
     """
-    folder = open_run(run) if run is not None else require_newest_run()
-    out = given.out or folder / "decode"
+    folder = open_run(find_run(run)) if run is not None else default_run()
+    out = given.out or results_home(folder) / "decode"
     if given.overwrite:
         begin_anew(out)
     policy = open_policy(folder, given.checkpoint, out)
@@ -246,8 +247,8 @@ def compare(runs: Sequence[Path], given: Settings, say: Callable[[str], None]) -
     """
     policies, decoders = [], []
     for run in runs:
-        folder = open_run(run)
-        out = folder / "decode"
+        folder = open_run(find_run(run))
+        out = results_home(folder) / "decode"
         if given.overwrite:
             begin_anew(out)
         policies.append(open_policy(folder, None, out))

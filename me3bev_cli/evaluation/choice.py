@@ -11,9 +11,10 @@ from me3bev_cli.errors import UserError, unknown_name
 from me3bev_cli.evaluation.drivers import REFERENCES, DriverSpec
 from me3bev_cli.evaluation.maps import parse_densities, parse_maps, parse_weathers
 from me3bev_cli.evaluation.runner import World
+from me3bev_cli.pretrained import NAME, default_run, find_run, run_path
 from me3bev_cli.recipe import PluginChoice, Recipe
 from me3bev_cli.recipe_loading import resolve_recipe
-from me3bev_cli.training.run import open_run, require_newest_run, runs_root
+from me3bev_cli.training.run import open_run
 
 WeatherSet = Literal["training", "evaluation"]
 """The recipe's set that stands for an option `--weather` that is not given."""
@@ -111,10 +112,10 @@ def reference_or_run(driver: str) -> tuple[str | None, Path | None]:
     """
     if driver in REFERENCES:
         return driver, None
-    for path in (Path(driver), runs_root() / driver):
-        if path.is_dir():
-            return None, path
-    raise unknown_name("driver or run", driver, REFERENCES, where="--driver")
+    path = run_path(driver)
+    if path is None:
+        raise unknown_name("driver or run", driver, (*REFERENCES, NAME), where="--driver")
+    return None, path
 
 
 def _policy(run: Path | None, checkpoint: str, device: str) -> tuple[DriverSpec, Recipe]:
@@ -128,13 +129,14 @@ def _policy(run: Path | None, checkpoint: str, device: str) -> tuple[DriverSpec,
 
 
 def _policy_folder(run: Path | None) -> Path:
-    """The run or checkpoint folder that is named, or the newest run.
+    """The run or checkpoint folder that is named, or what drives when none is.
 
     Raises:
-        RunError: there is none.
+        RunError: there is no such run.
     """
-    if run is not None:
-        # A checkpoint folder can stand alone: it holds its own recipe.
-        is_checkpoint = (run / "recipe.yaml").is_file() and (run / "policy.safetensors").is_file()
-        return run if is_checkpoint else open_run(run)
-    return require_newest_run()
+    if run is None:
+        return default_run()
+    place = find_run(run)
+    # A checkpoint folder can stand alone: it holds its own recipe.
+    is_checkpoint = (place / "recipe.yaml").is_file() and (place / "policy.safetensors").is_file()
+    return place if is_checkpoint else open_run(place)

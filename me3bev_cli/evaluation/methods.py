@@ -12,8 +12,8 @@ from me3bev_cli.evaluation.choice import Cells, choose_cells, choose_driver
 from me3bev_cli.evaluation.drivers import REFERENCES, DriverSpec
 from me3bev_cli.evaluation.player import Method
 from me3bev_cli.evaluation.runner import World
+from me3bev_cli.pretrained import find_run, run_path
 from me3bev_cli.recipe import Recipe
-from me3bev_cli.training.run import runs_root
 
 
 @dataclass(frozen=True)
@@ -90,24 +90,20 @@ def choose(asked: Asked, maps: str | None, density: str | None, weather: str | N
 
 
 def _runs(asked: Asked) -> list[Path | None]:
-    """The runs whose policies drive; None stands for the newest one."""
+    """The runs whose policies drive; None stands for what drives when none is named."""
     runs: list[Path | None] = list(asked.runs)
     if asked.baseline is not None and asked.baseline not in REFERENCES:
-        path = _run_path(asked.baseline)
-        if path is not None and path.resolve() not in [run.resolve() for run in asked.runs]:
+        path = run_path(asked.baseline)
+        if path is not None and path.resolve() not in [find_run(run).resolve() for run in asked.runs]:
             runs.append(path)
     return runs or ([] if asked.drivers else [None])
-
-
-def _run_path(name: str) -> Path | None:
-    return next((path for path in (Path(name), runs_root() / name) if path.is_dir()), None)
 
 
 def _baseline(asked: str | None, methods: Sequence[Method]) -> str | None:
     """The label of the method that is meant."""
     if asked is None:
         return None
-    path = _run_path(asked)
+    path = run_path(asked)
     for method in methods:
         run = method.spec.run
         same = path is not None and run is not None and path.resolve() == run.resolve()

@@ -26,6 +26,7 @@ from me3bev_cli.evaluation.runner import episode_seed
 from me3bev_cli.evaluation.snapshot import Snapshot, load_snapshot
 from me3bev_cli.evaluation.timing import Timing, note, pace
 from me3bev_cli.parallel import run_jobs
+from me3bev_cli.pretrained import named, results_home
 from me3bev_cli.training.run import runs_root, versions
 
 
@@ -93,7 +94,7 @@ def _about(method: Method, found: dict[str, Any]) -> dict[str, Any]:
     return {
         "method": method.label,
         "driver": spec.name,
-        "run": str(spec.run) if spec.run is not None else None,
+        "run": named(spec.run) if spec.run is not None else None,
         "checkpoint": spec.checkpoint if spec.run is not None else None,
         "recipe": spec.recipe.name if spec.recipe else None,
         "identity": found,
@@ -133,7 +134,8 @@ def _folder(chosen: Chosen, checkpoint: str) -> Path:
     """Where an evaluation is kept unless the user says otherwise: with its run, if there is just one."""
     runs = [method.spec.run for method in chosen.methods if method.spec.run is not None]
     if len(runs) == 1:
-        return runs[0] / "eval" if checkpoint == "last" else runs[0] / "eval" / checkpoint
+        home = results_home(runs[0]) / "eval"
+        return home if checkpoint == "last" else home / checkpoint
     label = ",".join(method.label for method in chosen.methods)
     own = all(method.spec.recipe is chosen.recipe for method in chosen.methods)
     # A reference driver's figures depend on the recipe's world.

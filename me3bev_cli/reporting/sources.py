@@ -12,6 +12,7 @@ from typing import Any
 from me3bev_cli.errors import RunError, UserError
 from me3bev_cli.evaluation.folder import EPISODES, JSON, MANIFEST
 from me3bev_cli.evaluation.summary import Row
+from me3bev_cli.pretrained import find_run, named, results_home, run_path
 from me3bev_cli.training.run import is_run, newest_run, runs_root
 
 EVALUATIONS = "eval"
@@ -89,9 +90,9 @@ def _place(name: Path) -> Path:
     Raises:
         RunError: there is none.
     """
-    for place in (name, runs_root() / name):
-        if place.is_dir():
-            return place
+    place = run_path(str(name))
+    if place is not None:
+        return place
     newest = newest_run()
     hint = f"The newest run is {newest}" if newest else "`me3bev train RECIPE` makes one"
     raise RunError(f"{name} is neither a run nor an evaluation", hint=hint)
@@ -103,7 +104,7 @@ def _below(place: Path) -> list[Path]:
     Raises:
         RunError: there is none; the message has the command that makes one.
     """
-    root = place / EVALUATIONS if is_run(place) else place
+    root = results_home(place) / EVALUATIONS if is_run(place) else place
     found = sorted(path.parent for path in root.rglob(JSON)) if root.is_dir() else []
     if found:
         return found
@@ -113,7 +114,8 @@ def _below(place: Path) -> list[Path]:
         raise RunError(f"the evaluation in {begun} is not finished", hint=hint)
     if is_run(place):
         raise RunError(
-            f"{place} has not been evaluated yet", hint=f"`me3bev eval --run {place} --reference all` does it"
+            f"{named(place)} has not been evaluated yet",
+            hint=f"`me3bev eval --run {named(place)} --reference all` does it",
         )
     hint = "Name a run, or the folder that `me3bev eval` wrote"
     raise RunError(f"{place} holds neither a run nor an evaluation", hint=hint)
@@ -152,8 +154,8 @@ def _row(row: Mapping[str, Any]) -> Row:
 
 def _runs_of(evaluation: Evaluation) -> list[Path]:
     """The runs whose policies an evaluation is of, those that are still there: where it says, or among the runs."""
-    named = [Path(method["run"]) for method in evaluation.methods if method.get("run")]
-    places = ([run, runs_root() / run.name] for run in named)
+    told = [Path(method["run"]) for method in evaluation.methods if method.get("run")]
+    places = ([find_run(run), runs_root() / run.name] for run in told)
     return [found[0] for found in ([place for place in pair if is_run(place)] for pair in places) if found]
 
 

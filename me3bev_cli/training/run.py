@@ -52,18 +52,6 @@ def newest_run(root: Path | None = None) -> Path | None:
     return max(runs, key=lambda path: (path / "metrics.jsonl").stat().st_mtime_ns, default=None)
 
 
-def require_newest_run() -> Path:
-    """The newest run.
-
-    Raises:
-        RunError: there is none.
-    """
-    newest = newest_run()
-    if newest is None:
-        raise RunError(f"there is no run under {runs_root()}", hint="`me3bev train RECIPE` makes one, or name it")
-    return newest
-
-
 def open_run(path: str | Path) -> Path:
     """The run folder at `path`.
 

@@ -19,6 +19,7 @@ from me3bev_cli.errors import CheckpointError, RunError
 from me3bev_cli.files import atomic_write_bytes, atomic_write_text
 from me3bev_cli.perception.model import HEAD
 from me3bev_cli.pipeline.assemble import build_network
+from me3bev_cli.pretrained import find_run
 from me3bev_cli.recipe import Recipe
 from me3bev_cli.recipe_diff import differences, run_recipe, shown
 from me3bev_cli.recipe_loading import dump
@@ -40,7 +41,7 @@ def check_takeover(recipe: Recipe, source: Path) -> None:
     Raises:
         RunError: it cannot.
     """
-    _find(recipe, open_run(source))
+    _find(recipe, open_run(find_run(source)))
 
 
 def begin_run(recipe: Recipe, run: Path, source: Path | None) -> None:
@@ -56,7 +57,8 @@ def begin_run(recipe: Recipe, run: Path, source: Path | None) -> None:
     if source is None:
         make_run(run, dump(recipe))
         return
-    stages, folder = _find(recipe, open_run(source))
+    source = open_run(find_run(source))
+    stages, folder = _find(recipe, source)
     eyes, head = _eyes(folder), (source / HEAD).read_bytes()
     steps = sum(stage.steps for stage in recipe.stages[:stages])
     rows = [row for row in read_metrics(source) if row["steps"] <= steps and row.get("stage", stages) < stages]

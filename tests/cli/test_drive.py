@@ -210,12 +210,6 @@ def test_mistakes_are_told_before_anything_is_driven(here: Path, options: str, m
     assert sorted(path.name for path in here.iterdir()) == ["file", "folder.mp4"]
 
 
-def test_no_run_yet() -> None:
-    result = run()
-    assert result.exit_code == 2
-    assert "there is no run under runs" in result.stderr
-
-
 def test_a_town(here: Path) -> None:
     options = "--driver autopilot --map T3 --weather night --steps 3 --camera-size 32x88 --video t3.mp4"
     result = run(*options.split())

@@ -143,7 +143,6 @@ def test_the_recipes_sets_are_used(recipe: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("", "there is no run under {tmp}/runs. `me3bev train RECIPE` makes one, or name it"),
         ("--run nowhere", "nowhere is not a run folder"),
         ("--driver autopilt", "--driver: unknown driver 'autopilt'; did you mean 'autopilot'"),
         ("--driver idle --episodes 0", "--episodes: 0 is too few"),

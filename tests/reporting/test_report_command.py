@@ -134,7 +134,8 @@ def test_an_earlier_report_is_replaced_and_nothing_else_is(evaluated: Make) -> N
 
 def test_what_cannot_be_reported(evaluated: Make) -> None:
     none = run()
-    assert (none.exit_code, "there is no run under" in none.stderr) == (2, True)
+    assert (none.exit_code, "`pretrained`" in none.stderr) == (2, True)
+    assert "`me3bev eval --run pretrained --reference all` does it" in none.stderr
     folder = evaluated("one")
     assert "nowhere is neither a run nor an evaluation. The newest run is" in run("nowhere").stderr
     Path("empty").mkdir()
