@@ -1,6 +1,7 @@
 # make demo    train and evaluate recipes/quickstart.yaml
 # make test    every test
 # make check   what .ci/run checks of the sources: ruff, mypy, tests
+# make comparison   the paper's comparison from nothing: says first how long it takes, goes on where it was stopped
 # make clean   remove what the above made; runs/ stays
 
 PYTHON ?= python3
@@ -12,7 +13,7 @@ WORKERS ?= 2
 # Two test workers or environments share the cores: one thread each is faster than both taking all.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint check clean
+.PHONY: demo test lint check comparison clean
 
 demo: $(READY)
 	$(BIN)/me3bev train quickstart
@@ -27,6 +28,9 @@ lint: $(READY)
 	$(BIN)/mypy me3bev_cli plugins
 
 check: lint test
+
+comparison: $(READY)
+	$(BIN)/python -m me3bev_cli.bench.comparison --results recipes/results/comparison
 
 # The marker is written last: an installation that was cut short starts again.
 $(READY): pyproject.toml constraints.txt

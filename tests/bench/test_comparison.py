@@ -1,0 +1,123 @@
+"""`make comparison`: what it would run, how it goes on, and what it keeps."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from me3bev_cli.bench import comparison
+from me3bev_cli.bench.comparison import COSTS, SCRATCH, clock, main, parts, run_of
+from me3bev_cli.bench.comparison_results import write_results
+from me3bev_cli.main import app
+from me3bev_cli.recipe_loading import resolve_recipe
+from me3bev_cli.training.run import make_run
+
+METHODS = (comparison.FIRST, *comparison.FLAT, *comparison.LOOKING)
+
+
+def test_all_methods_have_the_same_budget_world_and_reward() -> None:
+    recipes = {name: resolve_recipe(name) for name in (*METHODS, *SCRATCH)}
+    assert {sum(stage.steps for stage in recipe.stages) for recipe in recipes.values()} == {94_208}
+    first = recipes[comparison.FIRST]
+    for recipe in recipes.values():
+        assert (recipe.simulator, recipe.observation, recipe.weather) == (
+            first.simulator,
+            first.observation,
+            first.weather,
+        )
+        assert (recipe.reward, recipe.evaluation, recipe.seed) == (first.reward, first.evaluation, first.seed)
+    cloned = [[s for s in recipes[name].stages if s.kind == "imitation"] for name in METHODS]
+    assert {(stage.steps, stage.epochs, stage.minibatch) for (stage,) in cloned} == {(20_480, 3, 128)}
+    assert not any(stage.kind == "imitation" for name in SCRATCH for stage in recipes[name].stages)
+
+
+def test_each_part_is_a_command_that_exists(tmp_path: Path) -> None:
+    for part in parts(tmp_path, 2):
+        # Unknown options are told before anything is looked for.
+        result = CliRunner().invoke(app, [*part.words, "--no-such-option"])
+        assert "No such option: --no-such-option" in result.stderr, part.command
+        assert part.seconds > 0
+
+
+def test_eyes_are_trained_once_for_each_seed(tmp_path: Path) -> None:
+    first, others, second, scratch, *_ = parts(tmp_path, 2)
+    eyes = str(run_of(tmp_path, comparison.FIRST))
+    assert first.makes == (Path(eyes),)
+    for part in (others, scratch):
+        assert part.words[part.words.index("--perception") + 1] == eyes
+    assert "--perception" not in second.words
+    more = parts(tmp_path, 4)
+    assert [part.seconds for part in more[1:2]] == [pytest.approx(others.seconds / 2)]
+    assert first.seconds == pytest.approx(COSTS["perception"] / 2 + COSTS["looking"])
+
+
+def test_it_says_first_how_long_it_takes_and_leaves_out_what_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = run_of(tmp_path, comparison.FIRST)
+    make_run(run, "name: small-me3bev\n")
+    assert not parts(tmp_path, 2)[0].done
+    (run / "summary.json").write_text("{}")
+    typed: list[tuple[str, ...]] = []
+
+    def ran(words: tuple[str, ...], env: dict[str, str]) -> subprocess.CompletedProcess[bytes]:
+        assert env["OMP_NUM_THREADS"] == "1"
+        typed.append(words[3:])
+        return subprocess.CompletedProcess(words, 0 if len(typed) < 3 else 130)
+
+    monkeypatch.setattr(comparison.subprocess, "run", ran)
+    assert main(["--out", str(tmp_path), "--plan"]) == 0
+    assert typed == []
+    assert main(["--out", str(tmp_path)]) == 130
+    found = capsys.readouterr()
+    assert "perception and the first policy: done" in found.out
+    assert "left: about" in found.out
+    assert "stopped in 'ppo from scratch'; the same command goes on" in found.err
+    assert [words[0] for words in typed] == ["train", "train", "train"]
+    assert "small/me3bev_gru" in typed[0]
+
+
+def test_hours_and_minutes() -> None:
+    assert [clock(seconds) for seconds in (20, 90, 3600, 37_200)] == ["1 min", "2 min", "1 h 00 min", "10 h 20 min"]
+
+
+def row(method: str, place: str, metric: str, mean: float) -> dict[str, Any]:
+    ends = {"low": mean - 0.01, "high": mean + 0.01, "n": 100}
+    return {"method": method, "map": place, "density": "low", "metric": metric, "mean": mean, **ends}
+
+
+def test_what_is_kept_is_small_and_whole(tmp_path: Path) -> None:
+    metrics = ("collision_rate", "comfort")
+    rows = [row("a", place, name, 1 / 3) for place in ("T1", "average") for name in metrics]
+    one = {"method": "a", "map": "average", "density": "low", "metric": "comfort", "difference": 0.1, "low": 0.0}
+    compared = one | {"high": 0.2, "improvement": 0.7, "n": 100, "verdict": "better", "significant": True}
+    document = {
+        "maps": ["T1"], "methods": [{"method": "a", "recipe": "small-a", "checkpoint": "step_1", "identity": {}}],
+        "rows": rows, "baseline": "b", "comparisons": [compared, compared | {"map": "T1"}],
+    }  # fmt: skip
+    (tmp_path / "eval").mkdir()
+    (tmp_path / "eval" / "results.json").write_text(json.dumps(document))
+    (tmp_path / "eval" / "results.csv").write_text("csv")
+    run = tmp_path / "small-a-seed0"
+    make_run(run, "name: small-a\n")
+    (run / "summary.json").write_text(json.dumps({"recipe": "small-a", "seed": 0, "steps": 9, "seconds": 1.23456}))
+    (run / "metrics.jsonl").write_text(
+        json.dumps({"steps": 4, "eval_score": 80.0, "eval_collision_rate": 0.1, "eval_completion": 0.9}) + "\n"
+    )
+    unfinished = tmp_path / "small-b-seed0"
+    make_run(unfinished, "name: small-b\n")
+    written = write_results(tmp_path, tmp_path / "kept", {"the table": "me3bev eval"})
+    assert [path.name for path in written] == ["comparison.json", "table.csv"]
+    found = json.loads(written[0].read_text())
+    assert found["commands"] == {"the table": "me3bev eval"}
+    table = found["imitation_start"]
+    assert [(r["metric"], r["mean"]) for r in table["averages"]] == [("collision_rate", 0.3333), ("comfort", 0.3333)]
+    assert [r["metric"] for r in table["by_map"]] == ["collision_rate"]
+    assert [(c["metric"], c["verdict"]) for c in table["paired_differences"]] == [("comfort", "better")]
+    (trained,) = found["training"]
+    assert (trained["seconds"], trained["evaluations"][0]["driving_score"]) == (1.2346, 80.0)
