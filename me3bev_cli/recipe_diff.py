@@ -22,7 +22,7 @@ class Difference:
     """One key that is not the same everywhere."""
 
     key: str
-    """As after `--set`: `stages.0.steps`."""
+    """As after `--set`: `stages.0.steps`; `stages.ppo[-1].steps` where the recipes' stages are of other kinds."""
     values: tuple[Any, ...]
     """Of each recipe, in their order; `ABSENT` where it lacks the key."""
 
@@ -71,9 +71,11 @@ def run_recipe(folder: Path) -> dict[str, Any]:
 def differences(recipes: Sequence[Mapping[str, Any]]) -> list[Difference]:
     """Every key whose value is not the same in all recipes, in the order in which recipes have them.
 
-    Lists of blocks, as `stages`, are compared item by item; lists of plain values as a whole.
+    Lists of blocks, as `stages`, are compared item by item; lists of plain values as a whole. Where recipes have stages
+    of other kinds, each is compared with those of its kind, counted from the last one: `stages.ppo[-2].steps`. Of a
+    stage that another recipe lacks there are the steps alone.
     """
-    flat = [flatten(recipe) for recipe in recipes]
+    flat = [flatten(recipe) for recipe in _by_kind(recipes)]
     keys = dict.fromkeys(key for one in flat for key in one)
     found = [Difference(key, tuple(one.get(key, ABSENT) for one in flat)) for key in _by_block(keys)]
     return [one for one in found if any(value != one.values[0] for value in one.values[1:])]
@@ -91,6 +93,24 @@ def flatten(value: Any, path: str = "") -> dict[str, Any]:
     for key, child in items:
         found |= flatten(child, f"{path}.{key}" if path else key)
     return found
+
+
+def _by_kind(recipes: Sequence[Mapping[str, Any]]) -> Sequence[Mapping[str, Any]]:
+    """The recipes with their stages under names that mean the same in each, unless their numbers do."""
+    kinds = [[stage.get("kind") for stage in recipe.get("stages") or ()] for recipe in recipes]
+    shared = min(map(len, kinds), default=0)
+    if all(found[:shared] == kinds[0][:shared] for found in kinds):
+        return recipes
+    named = [_stages(recipe["stages"], found) for recipe, found in zip(recipes, kinds, strict=True)]
+    everywhere = set.intersection(*map(set, named))
+    return [
+        {**recipe, "stages": {key: stage if key in everywhere else {"steps": stage.get("steps")} for key, stage in own}}
+        for recipe, own in zip(recipes, (stages.items() for stages in named), strict=True)
+    ]
+
+
+def _stages(stages: Sequence[Mapping[str, Any]], kinds: Sequence[Any]) -> dict[str, Mapping[str, Any]]:
+    return {f"{kind}[-{kinds[place:].count(kind)}]": stages[place] for place, kind in enumerate(kinds)}
 
 
 def _by_block(keys: Mapping[str, None]) -> list[str]:

@@ -33,6 +33,25 @@ def test_blocks_are_compared_key_by_key_and_plain_lists_as_a_whole() -> None:
     ]  # fmt: skip
 
 
+def test_stages_are_compared_with_those_of_their_kind() -> None:
+    one = {"stages": [{"kind": "perception", "steps": 9, "pool": 1}, {"kind": "ppo", "steps": 5, "envs": 8}]}
+    other = {"stages": [{"kind": "ppo", "steps": 2, "envs": 8}, {"kind": "ppo", "steps": 6, "envs": 8}]}
+    assert [(d.key, d.values) for d in differences([one, other])] == [
+        ("stages.perception[-1].steps", (9, ABSENT)),
+        ("stages.ppo[-1].steps", (5, 6)),
+        ("stages.ppo[-2].steps", (ABSENT, 2)),
+    ]
+
+
+def test_the_ablations_differ_in_what_is_compared() -> None:
+    found = json.loads(run("small/me3bev", "small/me3bev_without_ssa", "--json", "-").stdout)["differences"]
+    keys = [d["key"] for d in found]
+    assert {key.partition(".")[0] for key in keys} == {"name", "spatial", "stages"}
+    assert [key for key in keys if key.startswith("stages")] == [
+        "stages.perception[-1].steps", "stages.imitation[-1].freeze", "stages.ppo[-1].steps", "stages.ppo[-1].freeze",
+    ]  # fmt: skip
+
+
 def test_names_files_and_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ME3BEV_RUNS", str(tmp_path / "all"))
