@@ -9,6 +9,7 @@ from pathlib import Path
 
 from me3bev_cli.errors import LogError
 from me3bev_cli.evaluation.episode import Episode, load
+from me3bev_cli.evaluation.folder import SNAPSHOT
 
 SUFFIXES = (".npz", ".mcap")
 
@@ -23,7 +24,7 @@ class Found:
 
 
 def log_files(folder: Path) -> list[Path]:
-    """The logs in a folder and below it; hidden ones are being written.
+    """The logs in a folder and below it; hidden ones are being written, and an evaluation's picture is none.
 
     Raises:
         LogError: the folder is not there, or holds none.
@@ -32,7 +33,8 @@ def log_files(folder: Path) -> list[Path]:
         return [folder]
     if not folder.is_dir():
         raise LogError("there is no such folder of logs", where=str(folder))
-    files = sorted(path for suffix in SUFFIXES for path in folder.rglob(f"[!.]*{suffix}") if path.is_file())
+    found = [path for suffix in SUFFIXES for path in folder.rglob(f"[!.]*{suffix}") if path.is_file()]
+    files = sorted(path for path in found if path.name != SNAPSHOT)
     if not files:
         hint = "`me3bev eval` and `me3bev collect` write them"
         raise LogError("the folder holds no log", where=str(folder), allowed=", ".join(SUFFIXES), hint=hint)

@@ -49,6 +49,18 @@ def test_the_figures_follow_from_the_logs(evaluation: Path, monkeypatch: pytest.
     assert result.stderr == ""
 
 
+def test_two_evaluations_in_one_table(evaluation: Path) -> None:
+    options = ("--recipe", "by-script.yaml", "--maps", "M1,M2", "--episodes", 3, "--workers", 0, "--out", "other")
+    assert run("--driver", "idle", *options).exit_code == 0
+    # Beside the logs there is the picture's snapshot, which is no log.
+    assert (evaluation / "snapshot.npz").is_file()
+    result = run("--from-logs", "done", "--from-logs", "other", "--baseline", "idle", "--out", "both")
+    assert result.exit_code == 0, result.output
+    assert "damaged" not in result.stderr
+    rows = json.loads(Path("both/results.json").read_text())["rows"]
+    assert {row["method"] for row in rows} == {"random", "autopilot", "idle"}
+
+
 def test_logs_that_are_lost_are_named(evaluation: Path) -> None:
     logs = evaluation / "episodes" / "random"
     (logs / "M1-high-00001.npz").unlink()
