@@ -72,6 +72,8 @@ def bench_latency(
         sources or [], lengths, batch=batch, threads=threads, dtype=dtype, device=device, graphs=graphs,
         effort=effort, with_scores=with_scores,
     )  # fmt: skip
+    if not sources and not with_scores:
+        typer.echo("me3bev: no run is named: `pretrained`, the shipped policy, stands beside every pair", err=True)
     for line in plan.skipped:
         typer.echo(f"me3bev: left out: {line}", err=True)
     outcome = run(plan)

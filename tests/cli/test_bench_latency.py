@@ -71,7 +71,10 @@ def test_every_pair_without_names(line_recipe: Path, monkeypatch: pytest.MonkeyP
     result = run(*FEW, "--context", "4", "--json", "out.json")
     assert result.exit_code == 0
     assert "me3bev: left out: temporal plugin 'x': its config needs y\n" in result.stderr
-    assert json.loads(Path("out.json").read_text())["left_out"] == ["temporal plugin 'x': its config needs y"]
+    report = json.loads(Path("out.json").read_text())
+    assert report["left_out"] == ["temporal plugin 'x': its config needs y"]
+    assert "no run is named: `pretrained`, the shipped policy, stands beside every pair" in result.stderr
+    assert "pretrained" in {row["name"] for row in report["rows"]}
 
 
 def test_a_budget(line_recipe: Path) -> None:
