@@ -7,7 +7,6 @@ take, from what they took on the machine of `COSTS`. No torch here.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shlex
 import subprocess
@@ -20,6 +19,7 @@ from me3bev_cli.bench.comparison_results import write_results
 from me3bev_cli.evaluation.folder import JSON
 from me3bev_cli.training.batch import COMMAND
 from me3bev_cli.training.listing import finished
+from me3bev_cli.training.pace import clock
 from me3bev_cli.training.run import runs_root
 
 FIRST = "small/me3bev"
@@ -33,8 +33,6 @@ LOOKING = (
     "small/me3bev_transformer",
 )
 SCRATCH = ("scratch/me3bev", "scratch/me3bev_without_tafm", "scratch/e2e_cla", "scratch/me3bev_without_ssa")
-SEEDS = (0, 1)
-"""Of the two that are trained more than once."""
 
 CELLS, REFERENCES = 14, 4
 """Maps x densities; drivers that nobody trained."""
@@ -105,8 +103,8 @@ def _trainings(out: Path, cores: int) -> list[Part]:
     others, twice = (*FLAT, *LOOKING), (FIRST, BASELINE)
     shared = len(FLAT) * flat + len(LOOKING) * looking
     return [
-        # Alone it has all threads, which perception gains from and the rest hardly.
-        train("perception and the first policy", (FIRST,), 0, perception / cores + looking),
+        # Alone it has all threads, which perception gains from and the rest hardly; said, since OMP_NUM_THREADS is 1.
+        train("perception and the first policy", (FIRST,), 0, perception / cores + looking, "--threads", str(cores)),
         train("the other methods", others, 0, shared / cores, *eyes, *beside),
         train("the second seed", twice, 1, max(perception + looking, flat), *beside),
         train("ppo from scratch", SCRATCH, 0, 2 * (flat + looking) / cores, *eyes, *beside),
@@ -114,7 +112,7 @@ def _trainings(out: Path, cores: int) -> list[Part]:
 
 
 def _evaluation(name: str, place: Path, runs: Sequence[Path], baseline: Path, cores: int, episodes: int) -> Part:
-    flat = sum(any(run.name.startswith(kind.replace("/", "-")) for kind in FLAT) for run in runs)
+    flat = sum(any(kind.partition("/")[2] in run.name for kind in FLAT) for run in runs)
     each = flat * COSTS["flat episode"] + (len(runs) - flat) * COSTS["episode"] + REFERENCES * COSTS["flat episode"]
     named = [word for run in runs for word in ("--run", str(run))]
     words = (
@@ -143,19 +141,13 @@ def _page(out: Path) -> Part:
 
 def plan_text(planned: Sequence[Part], cores: int) -> str:
     """What there is to do and how long it takes."""
-    lines = [f"the comparison, in {len(planned)} parts, on {cores} cores like those of the record:"]
+    lines = [f"the comparison, in {len(planned)} parts, on {cores} cores like those of the record (h:mm:ss or m:ss):"]
     for part in planned:
         time = "done" if part.done else f"about {clock(part.seconds)}"
         lines.append(f"  {part.name}: {time}\n    {part.command}")
     left = sum(part.seconds for part in planned if not part.done)
     lines.append(f"left: about {clock(left)}; Ctrl-C stops, the same command goes on")
     return "\n".join(lines)
-
-
-def clock(seconds: float) -> str:
-    """Hours and minutes."""
-    minutes = round(seconds / 60)
-    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{max(1, minutes)} min"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -182,8 +174,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if code:
             print(f"me3bev: stopped in '{part.name}'; the same command goes on", file=sys.stderr)
             return code
-    write_results(given.out, given.results or given.out, {part.name: part.command for part in planned})
-    print(json.dumps({"results": str(given.results or given.out)}))
+    for path in write_results(given.out, given.results or given.out, {part.name: part.command for part in planned}):
+        print(f"wrote {path}")
     return 0
 
 

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from me3bev_cli.bench import comparison
-from me3bev_cli.bench.comparison import COSTS, SCRATCH, clock, main, parts, run_of
+from me3bev_cli.bench.comparison import COSTS, SCRATCH, main, parts, run_of
 from me3bev_cli.bench.comparison_results import write_results
 from me3bev_cli.main import app
 from me3bev_cli.recipe_loading import resolve_recipe
@@ -48,6 +48,8 @@ def test_eyes_are_trained_once_for_each_seed(tmp_path: Path) -> None:
     first, others, second, scratch, *_ = parts(tmp_path, 2)
     eyes = str(run_of(tmp_path, comparison.FIRST))
     assert first.makes == (Path(eyes),)
+    # OMP_NUM_THREADS is 1 for all parts: what runs alone says how many it wants.
+    assert first.words[first.words.index("--threads") + 1] == "2"
     for part in (others, scratch):
         assert part.words[part.words.index("--perception") + 1] == eyes
     assert "--perception" not in second.words
@@ -82,8 +84,10 @@ def test_it_says_first_how_long_it_takes_and_leaves_out_what_is_there(
     assert "small/me3bev_gru" in typed[0]
 
 
-def test_hours_and_minutes() -> None:
-    assert [clock(seconds) for seconds in (20, 90, 3600, 37_200)] == ["1 min", "2 min", "1 h 00 min", "10 h 20 min"]
+def test_flat_policies_are_evaluated_sooner_from_scratch_too(tmp_path: Path) -> None:
+    (scratch,) = [part for part in parts(tmp_path, 1, episodes=1) if part.name == "the table from scratch"]
+    each = 2 * COSTS["episode"] + (2 + comparison.REFERENCES) * COSTS["flat episode"]
+    assert scratch.seconds == pytest.approx(comparison.CELLS * each)
 
 
 def row(method: str, place: str, metric: str, mean: float) -> dict[str, Any]:
