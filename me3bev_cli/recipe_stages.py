@@ -72,6 +72,13 @@ def _segments_fit(stage: PpoStage | ImitationStage) -> None:
         raise ValueError(f"minibatch {stage.minibatch} is more than envs x rollout = {frames} frames")
 
 
+class Guidance(Block):
+    """What a `ppo` stage may learn beside PPO's loss: to do as the simulator's autopilot would where the policy is."""
+
+    weight: float = Field(gt=0, description="of the squared distance of the mean action from the autopilot's")
+    steering_weight: float = Field(default=10.0, gt=0, description="of the steering's beside the longitudinal's")
+
+
 class PpoStage(SimulatedStage):
     """Proximal policy optimisation in the simulator."""
 
@@ -99,6 +106,7 @@ class PpoStage(SimulatedStage):
     target_kl: float | None = Field(default=None, gt=0, description="an update stops early beyond 1.5 times this")
     normalise_advantage: bool = True
     reward_scale: float = Field(default=1.0, gt=0, description="applied to what is learned from, not to what is shown")
+    guidance: Guidance | None = Field(default=None, description="by the simulator's autopilot; null: reward alone")
     alarms: Alarms = Alarms()
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import torch
 from gymnasium import spaces
@@ -34,6 +34,17 @@ BEFORE_MEMORY = {"spatial": ("bev",), "encoders": ("vr", "nav")}
 Precision = Literal["bfloat16"]
 
 
+class Guide(Protocol):
+    """Draws mean actions to what somebody else would do."""
+
+    key: str
+    """Where an observation holds that, (2,)."""
+
+    def __call__(self, labels: Tensor, modes: Tensor, log_probs: Tensor) -> Tensor:
+        """Of a minibatch; the same log-probabilities (N,), with a loss that is descended with them."""
+        ...
+
+
 def settled_embeddings(network: Network, frozen: Iterable[str]) -> dict[str, tuple[int, int]]:
     """(K, D) of the embeddings that no update changes: what encodes them is frozen."""
     settled = {modality for part in frozen for modality in BEFORE_MEMORY.get(part, ())}
@@ -52,6 +63,7 @@ class DrivingPolicy(BasePolicy):
         frozen: parts of `PARTS` that do not learn.
         autocast: the type in which the network is computed where autocast allows it; None: in its own.
         microbatch: frames whose images are encoded at a time.
+        guide: draws the mean actions to the labels that observations hold; None: reward alone.
     """
 
     def __init__(
@@ -65,6 +77,7 @@ class DrivingPolicy(BasePolicy):
         frozen: tuple[str, ...] = (),
         autocast: Precision | None = None,
         microbatch: int | None = None,
+        guide: Guide | None = None,
     ) -> None:
         super().__init__(observation_space, action_space, squash_output=False, normalize_images=False)
         self.network = network
@@ -75,6 +88,7 @@ class DrivingPolicy(BasePolicy):
         self.autocast = autocast
         trained = [p for p in network.parameters() if p.requires_grad]
         self.optimizer = torch.optim.Adam(trained, lr=lr_schedule(1), eps=1e-5)
+        self.guide = guide
         self.before_minibatch: Callable[[], None] | None = None
 
     def set_training_mode(self, mode: bool) -> None:
@@ -95,7 +109,12 @@ class DrivingPolicy(BasePolicy):
         starts, state, rows = frames.pop(STARTS), frames.pop(STATE, None), frames.pop(ROWS, None)
         with self.computing():
             decision = self.network.evaluate(frames, state, starts, rows)
-        return decision.values, decision.actions.log_prob(actions), decision.actions.entropy()
+        log_probs = decision.actions.log_prob(actions)
+        if self.guide is not None:
+            labels = frames[self.guide.key] if rows is None else frames[self.guide.key][rows.flatten()]
+            own = labels.reshape(*starts.shape, -1)[:, self.network.prefix :].flatten(0, 1)
+            log_probs = self.guide(own, decision.actions.mode(), log_probs)
+        return decision.values, log_probs, decision.actions.entropy()
 
     def forward(self, obs: Any, deterministic: bool = False) -> Any:
         """Not how a policy with memory is called: use `network.step`."""

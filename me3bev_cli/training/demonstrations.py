@@ -11,10 +11,11 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 LABEL = "autopilot"
-"""Key of an info that holds the autopilot's action (2,) in the state that was reached."""
+"""Key of an info, or of an observation, that holds the autopilot's action (2,) in the state that was reached."""
 
 Floats = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
@@ -34,7 +35,30 @@ class Taught(gymnasium.Wrapper[Any, Any, Any, Any]):
         return observation, reward, terminated, truncated, info | {LABEL: self._label()}
 
     def _label(self) -> Floats:
-        return np.clip(np.asarray(self.env.unwrapped.autopilot(), np.float32), -1.0, 1.0)  # type: ignore[attr-defined]
+        return _advice(self.env)
+
+
+class Guided(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """The same in each observation, where it is stored with the frame."""
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        super().__init__(env)
+        assert isinstance(env.observation_space, spaces.Dict)
+        self.observation_space = spaces.Dict({**env.observation_space, LABEL: spaces.Box(-1.0, 1.0, (2,), np.float32)})
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return {**observation, LABEL: _advice(self.env)}, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """One step of the environment."""
+        observation, *rest = self.env.step(action)
+        return {**observation, LABEL: _advice(self.env)}, *rest  # type: ignore[return-value]
+
+
+def _advice(env: gymnasium.Env[Any, Any]) -> Floats:
+    return np.clip(np.asarray(env.unwrapped.autopilot(), np.float32), -1.0, 1.0)  # type: ignore[attr-defined]
 
 
 @dataclass

@@ -10,6 +10,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
 from me3bev_cli.training.alarms import Watch, check_losses, check_rewards
+from me3bev_cli.training.guidance import AutopilotGuide
 from me3bev_cli.training.ppo_state import capture, take_up
 from me3bev_cli.training.shaped_reward import PLAIN
 from me3bev_cli.training.trainer import InterruptedTrainingError
@@ -108,6 +109,8 @@ class Monitor(BaseCallback):
         self.clock = now
         values = self.model.logger.name_to_value
         row |= {name: float(values[key]) for key, name in LOSSES.items() if key in values}
+        if isinstance(guide := self.model.policy.guide, AutopilotGuide):
+            row["guidance_loss"] = guide.told()
         if self.shaped is not None:
             row["shaped_reward_per_step"] = float(np.mean(self.shaped))
             self.shaped.clear()

@@ -10,7 +10,9 @@ from me3bev_cli.errors import CheckpointError
 from me3bev_cli.pipeline.policy import DrivingPolicy
 from me3bev_cli.seeding import derive_seed
 from me3bev_cli.training.alarms import WORKER, guard_gradients, guard_outputs
+from me3bev_cli.training.demonstrations import Guided
 from me3bev_cli.training.environments import first_episode_of, make_environments
+from me3bev_cli.training.guidance import AutopilotGuide
 from me3bev_cli.training.monitor import Monitor
 from me3bev_cli.training.ppo_state import prepare
 from me3bev_cli.training.rollout import SequenceRolloutBuffer
@@ -50,6 +52,7 @@ class PpoRunner:
             trainer.recipe,
             stage,
             first_episode_of(trainer.progress.stage),
+            around=Guided if stage.guidance else None,
             told=lambda text: trainer.warn(WORKER, text),
             check=self._check_stop,
         )
@@ -103,6 +106,7 @@ class PpoRunner:
                 "frozen": stage.freeze,
                 "autocast": stage.autocast,
                 "microbatch": stage.microbatch,
+                "guide": AutopilotGuide(stage.guidance) if stage.guidance else None,
             },
             seed=derive_seed(recipe.seed, "actions", progress.stage),
             device=trainer.device,
