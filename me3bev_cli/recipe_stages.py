@@ -62,6 +62,18 @@ class SimulatedStage(Block):
     checkpoint_every: int = Field(default=20_000, gt=0, description="environment steps")
 
 
+class DrivenStage(SimulatedStage):
+    """A stage that plays whole episodes."""
+
+    busiest_of: int = Field(
+        default=1,
+        ge=1,
+        le=256,
+        description="each episode is that of so many in which somebody is ahead most often; the autopilot drives them "
+        "beforehand, without pictures, and these steps are not counted",
+    )
+
+
 def _segments_fit(stage: PpoStage | ImitationStage) -> None:
     """Raises ValueError where rollouts or minibatches are not made of whole segments."""
     frames = stage.envs * stage.rollout
@@ -79,7 +91,7 @@ class Guidance(Block):
     steering_weight: float = Field(default=10.0, gt=0, description="of the steering's beside the longitudinal's")
 
 
-class PpoStage(SimulatedStage):
+class PpoStage(DrivenStage):
     """Proximal policy optimisation in the simulator."""
 
     kind: Literal["ppo"]
@@ -115,7 +127,7 @@ class PpoStage(SimulatedStage):
         return self
 
 
-class ImitationStage(SimulatedStage):
+class ImitationStage(DrivenStage):
     """Learning from the simulator's autopilot, in rounds: drive for a while, then learn what it would have done there.
 
     In the first round the autopilot drives, disturbed by noise; later the policy does, so that it is shown the way

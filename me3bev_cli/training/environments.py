@@ -16,7 +16,7 @@ from me3bev_cli.workers import cores
 
 if TYPE_CHECKING:
     from me3bev_cli.recipe import Recipe
-    from me3bev_cli.recipe_stages import SimulatedStage
+    from me3bev_cli.recipe_stages import DrivenStage
 
 
 EPISODES_OF_A_STAGE = 1_000_000
@@ -34,7 +34,7 @@ def _to_stderr(text: str) -> None:
 
 def make_environments(
     recipe: Recipe,
-    stage: SimulatedStage,
+    stage: DrivenStage,
     first_episode: int = 0,
     around: Wrapping | None = None,
     told: Callable[[str], None] = _to_stderr,
@@ -66,6 +66,7 @@ def make_environments(
             stride=stage.envs,
             around=around,
             terms=recipe.reward_in(stage),
+            busiest_of=stage.busiest_of,
         )
         for index in range(stage.envs)
     ]
