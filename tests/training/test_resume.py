@@ -60,7 +60,7 @@ def check(recipe: Path, folder: Path, interrupted: Trainer, kept: int, *override
         [],
         ["context={kind: stream}"],
         ["stages.0.freeze=[spatial]", "policy.distribution=beta"],
-        ["stages.0.freeze=[spatial]", "stages.0.guidance={weight: 2.0}"],
+        ["stages.0.freeze=[spatial]", "stages.0.guidance={weight: 2.0}", "stages.0.busiest_of=2"],
         [f"stages=[{STAGE}, {STAGE}]"],
     ],
 )
