@@ -155,7 +155,7 @@ class ImitationStage(DrivenStage):
     value: float = Field(default=0.5, ge=0, description="weight of the critic's loss; it reads, but does not shape")
     gamma: float = Field(default=0.99, gt=0, lt=1, description="of the returns that the critic learns")
     reward_scale: float = Field(default=1.0, gt=0, description="of the same: as in the ppo stage that follows")
-    max_grad_norm: float = Field(default=1.0, gt=0)
+    max_grad_norm: float = Field(default=1.0, gt=0, description="of the policy's gradient and of the critic's, each")
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> ImitationStage:

@@ -34,6 +34,10 @@ class Learner:
         network.freeze(self.frozen)
         network.microbatch = stage.microbatch
         self.parameters = [p for name, p in network.named_parameters() if p.requires_grad and name != "actor.log_std"]
+        critic = {id(p) for p in network.critic.parameters()}
+        # The critic's errors are much larger, above all where something happens: clipped with the policy's, they would
+        # take its gradient away just there.
+        self.clipped = [[p for p in self.parameters if (id(p) in critic) == judging] for judging in (False, True)]
         self.optimizer = torch.optim.Adam(self.parameters, lr=stage.learning_rate.initial, eps=1e-5)
         self.weights = torch.tensor([stage.steering_weight, 1.0], device=device)
 
@@ -50,7 +54,8 @@ class Learner:
         value = nn.functional.mse_loss(values, to_device(lesson.returns, self.device))
         self.optimizer.zero_grad()
         (action + self.stage.value * value).backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self.parameters, self.stage.max_grad_norm)
+        for parameters in self.clipped:
+            nn.utils.clip_grad_norm_(parameters, self.stage.max_grad_norm)
         self.optimizer.step()
         return Losses(float(action.detach()), float(value.detach()))
 
