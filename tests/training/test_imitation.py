@@ -91,6 +91,15 @@ def test_what_the_deviation_was_it_stays(line_recipe: Path, tmp_path: Path) -> N
     assert torch.equal(made.network.actor.log_std, before)
 
 
+def test_what_the_critic_errs_by_changes_nothing_of_what_the_policy_learns(line_recipe: Path, tmp_path: Path) -> None:
+    """Nor by how much: clipped together, a large error of the one would take the other's gradient away."""
+    for name, value in (("small", "1e-6"), ("large", "1e6")):
+        trainer(line_recipe, tmp_path / name, f"stages.0.value={value}").train()
+    small, large = weights(tmp_path / "small"), weights(tmp_path / "large")
+    assert all(torch.equal(small[key], large[key]) for key in small if not key.startswith("critic."))
+    assert any(not torch.equal(small[key], large[key]) for key in small if key.startswith("critic."))
+
+
 @pytest.mark.parametrize("part", ["spatial", "encoders"])
 def test_frozen_parts_stay_and_their_embeddings_are_stored(line_recipe: Path, tmp_path: Path, part: str) -> None:
     made = trainer(line_recipe, tmp_path / "run", f"stages.0.freeze=[{part}]")
