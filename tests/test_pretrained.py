@@ -17,10 +17,10 @@ from me3bev_cli import pretrained
 from me3bev_cli.evaluation.episode import load
 from me3bev_cli.main import app
 from me3bev_cli.perception.model import HEAD, load_model
-from me3bev_cli.recipe_diff import differences, run_recipe
 from me3bev_cli.recipe_loading import resolve_recipe
 from me3bev_cli.training.checkpoint import find_checkpoint, load_network
 from me3bev_cli.training.run import is_run, make_run
+from me3bev_cli.training.takeover import check_takeover
 
 CELL = json.loads((Path(__file__).parent / "pretrained_cell.json").read_text())
 """What the shipped policy drove when it was put in the box; `machine` says where."""
@@ -52,9 +52,9 @@ def test_it_is_a_whole_run_of_at_most_12_megabytes() -> None:
     load_model(network, box)
 
 
-def test_it_was_trained_by_the_recipe_that_is_shipped() -> None:
-    shipped = resolve_recipe("small/me3bev").model_dump(mode="json")
-    assert differences([shipped, run_recipe(pretrained.box())]) == []
+@pytest.mark.parametrize("recipe", ["small/me3bev", "small/me3bev_gru", "scratch/me3bev"])
+def test_it_has_the_eyes_of_the_recipes_that_are_shipped(recipe: str) -> None:
+    check_takeover(resolve_recipe(recipe), pretrained.box())
 
 
 def test_the_card_says_what_a_user_must_know() -> None:

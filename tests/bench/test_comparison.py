@@ -32,7 +32,11 @@ def test_all_methods_have_the_same_budget_world_and_reward() -> None:
         )
         assert (recipe.reward, recipe.evaluation, recipe.seed) == (first.reward, first.evaluation, first.seed)
     cloned = [[s for s in recipes[name].stages if s.kind == "imitation"] for name in METHODS]
-    assert {(stage.steps, stage.epochs, stage.minibatch) for (stage,) in cloned} == {(20_480, 3, 128)}
+    assert {(s.steps, s.epochs, s.minibatch, s.busiest_of, s.reward_scale) for (s,) in cloned} == {
+        (20_480, 6, 128, 8, 0.005)
+    }
+    driven = [stage for name in METHODS for stage in recipes[name].stages if stage.kind == "ppo"]
+    assert len({(str(stage.guidance), stage.epochs, stage.reward_scale) for stage in driven}) == 1
     assert not any(stage.kind == "imitation" for name in SCRATCH for stage in recipes[name].stages)
 
 
