@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from me3bev_cli import pretrained
 from me3bev_cli.evaluation.episode import load
 from me3bev_cli.main import app
 from me3bev_cli.perception.model import HEAD, load_model
+from me3bev_cli.recipe_diff import differences, run_recipe
 from me3bev_cli.recipe_loading import resolve_recipe
 from me3bev_cli.training.checkpoint import find_checkpoint, load_network
 from me3bev_cli.training.run import is_run, make_run
@@ -50,6 +52,14 @@ def test_it_is_a_whole_run_of_at_most_12_megabytes() -> None:
     assert recipe.name == "small-me3bev"
     assert (box / HEAD).is_file()
     load_model(network, box)
+
+
+def test_it_was_trained_by_the_recipe_that_is_shipped_but_for_what_the_card_names() -> None:
+    shipped = resolve_recipe("small/me3bev").model_dump(mode="json")
+    card = (pretrained.box() / "MODEL_CARD.md").read_text()
+    changed = [one.key for one in differences([shipped, run_recipe(pretrained.box())])]
+    named = card[card.index("## Recipe") : card.index("## Data")]
+    assert sorted(set(re.findall(r"`([a-z_]+(?:\.[a-z0-9_]+)+)`: ", named))) == sorted(changed)
 
 
 @pytest.mark.parametrize("recipe", ["small/me3bev", "small/me3bev_gru", "scratch/me3bev"])

@@ -15,31 +15,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 LABEL = "autopilot"
-"""Key of an info, or of an observation, that holds the autopilot's action (2,) in the state that was reached."""
+"""Key of an observation that holds the autopilot's action (2,) in the state that was reached."""
 
 Floats = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
 
 
 class Taught(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Tells in each info what the simulator's autopilot would do next."""
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        return observation, info | {LABEL: self._label()}
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One step of the environment."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return observation, reward, terminated, truncated, info | {LABEL: self._label()}
-
-    def _label(self) -> Floats:
-        return _advice(self.env)
-
-
-class Guided(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """The same in each observation, where it is stored with the frame."""
+    """Tells in each observation what the simulator's autopilot would do next."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         super().__init__(env)
@@ -49,16 +32,15 @@ class Guided(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode."""
         observation, info = self.env.reset(seed=seed, options=options)
-        return {**observation, LABEL: _advice(self.env)}, info
+        return {**observation, LABEL: self._label()}, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """One step of the environment."""
         observation, *rest = self.env.step(action)
-        return {**observation, LABEL: _advice(self.env)}, *rest  # type: ignore[return-value]
+        return {**observation, LABEL: self._label()}, *rest  # type: ignore[return-value]
 
-
-def _advice(env: gymnasium.Env[Any, Any]) -> Floats:
-    return np.clip(np.asarray(env.unwrapped.autopilot(), np.float32), -1.0, 1.0)  # type: ignore[attr-defined]
+    def _label(self) -> Floats:
+        return np.clip(np.asarray(self.env.unwrapped.autopilot(), np.float32), -1.0, 1.0)  # type: ignore[attr-defined]
 
 
 @dataclass

@@ -77,14 +77,12 @@ class RoundDriver:
                 own, state = self._decide(frames, state, starts) if share < 1 else (labels, state)
                 actions = np.where(guided[:, None], np.clip(labels + noise[row], -1, 1), own)
             one.labels[row], one.actions[row], one.guided[row] = labels, actions, guided
-            observation, rewards, dones, infos = self.env.step(one.actions[row])  # type: ignore[assignment]
+            seen, rewards, dones, infos = self.env.step(one.actions[row])
             check_rewards(rewards, self.env.episodes)
             outcome.rewards += [float(info.get(PLAIN, reward)) for info, reward in zip(infos, rewards, strict=True)]
             cut = np.array([bool(info.get("TimeLimit.truncated", False)) for info in infos])
             one.rewards[row], one.ended[row], one.cut[row] = rewards, dones & ~cut, dones & cut
-            labels = np.stack(
-                [self.env.reset_infos[i][LABEL] if done else infos[i][LABEL] for i, done in enumerate(dones)]
-            )
+            observation, labels = _parted(seen)
             outcome.student_episodes += [_episode(infos[i]) for i in np.flatnonzero(dones & ~guided)]
             begun += dones
             starts = dones
@@ -97,8 +95,7 @@ class RoundDriver:
         """Begin an episode in every environment: observations and labels."""
         for i in range(one.envs):
             self.env.env_method("play_from", one.first + i, indices=[i])
-        observation: Any = self.env.reset()
-        return observation, np.stack([info[LABEL] for info in self.env.reset_infos])
+        return _parted(self.env.reset())
 
     @torch.no_grad()
     def _frames(self, observation: Arrays) -> tuple[dict[str, torch.Tensor], Arrays]:
@@ -122,6 +119,12 @@ class RoundDriver:
         with computing(self.device, self.stage.autocast):
             decision, state = self.network.step(frames, state, to_device(starts, self.device))
         return decision.actions.mode().clamp(-1.0, 1.0).cpu().numpy(), state
+
+
+def _parted(seen: Any) -> tuple[Arrays, Floats]:
+    """What the policy sees, and what the autopilot would do."""
+    observation = dict(seen)
+    return observation, observation.pop(LABEL)
 
 
 def _episode(info: dict[str, Any]) -> dict[str, float]:

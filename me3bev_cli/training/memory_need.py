@@ -27,6 +27,8 @@ from me3bev_cli.workers import cores
 
 WORKER = 300_000_000
 """Bytes of a worker process with its environment."""
+ADVICE = 2 * 4
+"""Bytes of the autopilot's action."""
 BEV_MAP = 200 * 200
 """Bytes of a map that is learned from."""
 GRADIENTS = 1.25
@@ -151,6 +153,8 @@ def frame_bytes(network: Network, recipe: Recipe, stage: Stage) -> int:
     settled = settled_embeddings(network, stage.freeze)
     replaced = {source for name in settled for source in SOURCES[name]}
     kept = sum(size for key, size in sizes.items() if key not in replaced)
+    if isinstance(stage, PpoStage) and stage.guidance is not None:
+        kept += ADVICE
     return kept + sum(4 * tokens * width for tokens, width in settled.values())
 
 

@@ -10,7 +10,7 @@ from me3bev_cli.errors import CheckpointError
 from me3bev_cli.pipeline.policy import DrivingPolicy
 from me3bev_cli.seeding import derive_seed
 from me3bev_cli.training.alarms import WORKER, guard_gradients, guard_outputs
-from me3bev_cli.training.demonstrations import Guided
+from me3bev_cli.training.demonstrations import Taught
 from me3bev_cli.training.environments import first_episode_of, make_environments
 from me3bev_cli.training.guidance import AutopilotGuide
 from me3bev_cli.training.monitor import Monitor
@@ -52,7 +52,7 @@ class PpoRunner:
             trainer.recipe,
             stage,
             first_episode_of(trainer.progress.stage),
-            around=Guided if stage.guidance else None,
+            around=Taught if stage.guidance else None,
             told=lambda text: trainer.warn(WORKER, text),
             check=self._check_stop,
         )

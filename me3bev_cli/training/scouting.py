@@ -36,7 +36,6 @@ class Scout:
     def __init__(self, make: Callable[[], Env], count: int) -> None:
         self.make, self.count = make, count
         self._env: Env | None = None
-        self._chosen: dict[tuple[int, ...], int] = {}
 
     def busiest(self, seeds: Sequence[int]) -> int:
         """The seed of the episode in which somebody is ahead most often; the first of equals.
@@ -44,10 +43,7 @@ class Scout:
         Raises:
             UserError: the simulator does not tell where others are.
         """
-        key = tuple(seeds)
-        if key not in self._chosen:
-            self._chosen[key] = max(seeds, key=self.encounters)
-        return self._chosen[key]
+        return max(seeds, key=self.encounters)
 
     def encounters(self, seed: int) -> int:
         """Steps of an episode in which the ego moves and somebody is right ahead of it."""

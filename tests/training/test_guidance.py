@@ -16,7 +16,7 @@ from me3bev_cli.recipe_loading import dump, resolve_recipe
 from me3bev_cli.recipe_stages import Guidance
 from me3bev_cli.stopping import Stop
 from me3bev_cli.training.curve import read_metrics
-from me3bev_cli.training.demonstrations import LABEL, Guided
+from me3bev_cli.training.demonstrations import LABEL, Taught
 from me3bev_cli.training.display import Display
 from me3bev_cli.training.environments import make_environments
 from me3bev_cli.training.guidance import AutopilotGuide
@@ -34,7 +34,7 @@ def collected(path: Path, overrides: list[str], guided: bool) -> SequencePPO:
     network = build_network(recipe, 1)
     model = SequencePPO(
         DrivingPolicy,
-        make_environments(recipe, recipe.stages[0], around=Guided),
+        make_environments(recipe, recipe.stages[0], around=Taught),
         rollout_buffer_class=SequenceRolloutBuffer,
         rollout_buffer_kwargs={"segment": 8, "prefix": network.prefix, "seed": 0},
         policy_kwargs={
@@ -63,7 +63,7 @@ def test_the_gradient_is_ppos_and_the_weighted_distances(line_recipe: Path, over
     alone, guided = (collected(line_recipe, [*overrides, *sizes], guide) for guide in (False, True))
     buffer = guided.rollout_buffer
     assert np.array_equal(alone.rollout_buffer.actions, buffer.actions)
-    network = guided.network
+    network, ppo, both = guided.network, gradients(alone), gradients(guided)
     sample = next(iter(buffer.get(None)))
     frames = dict(sample.observations)
     labels = frames[LABEL] if ROWS not in frames else frames[LABEL][frames[ROWS].flatten()]
@@ -74,9 +74,6 @@ def test_the_gradient_is_ppos_and_the_weighted_distances(line_recipe: Path, over
     starts, state, rows = frames.pop(STARTS), frames.pop(STATE, None), frames.pop(ROWS, None)
     modes = network.evaluate(frames, state, starts, rows).actions.mode()
     formula = sum(7.0 * s**2 + (t - 1.0) ** 2 for s, t in modes) / len(modes)
-    ppo, both = gradients(alone), None
-    # The model's own gradients are gone with `zero_grad`: another one's update gives them again.
-    both = gradients(collected(line_recipe, [*overrides, *sizes], True))
     (WEIGHTS.weight * formula).backward()  # type: ignore[union-attr]
     expected = {name: p.grad for name, p in network.named_parameters() if p.grad is not None}
     assert expected.keys() <= both.keys()
@@ -92,7 +89,7 @@ def test_it_learns_from_the_autopilot_what_the_reward_does_not_say(line_recipe: 
     losses = [row["guidance_loss"] for row in read_metrics(tmp_path / "run")]
     assert losses[-1] < 0.5 * losses[0]
     controller = Controller.load(tmp_path / "run")
-    env = make_environments(recipe, recipe.stages[0], around=Guided)
+    env = make_environments(recipe, recipe.stages[0], around=Taught)
     observation = {key: value[0] for key, value in env.reset().items()}
     assert observation[LABEL].tolist() == [0.0, 1.0]
     steering, longitudinal = controller.act(observation)

@@ -62,7 +62,7 @@ def test_encounters_are_steps_with_somebody_right_ahead_of_a_moving_ego(seed: in
     assert Scout(Drive, 2).encounters(seed) == steps
 
 
-def test_the_busiest_is_taken_and_remembered_the_first_of_equals() -> None:
+def test_the_busiest_is_taken_the_first_of_equals() -> None:
     made: list[Drive] = []
 
     def make() -> Drive:
@@ -72,9 +72,9 @@ def test_the_busiest_is_taken_and_remembered_the_first_of_equals() -> None:
     scout = Scout(make, 4)
     assert not made, "an environment that is not needed was made"
     assert scout.busiest([2, 1, 6, 5]) == 6
-    assert scout.busiest([2, 1, 6, 5]) == 6
+    assert scout.busiest([1, 5]) == 5
     assert len(made) == 1
-    assert made[0].resets == [2, 1, 6, 5]
+    assert made[0].resets == [2, 1, 6, 5, 1, 5]
     scout.close()
 
 
@@ -107,6 +107,5 @@ def test_in_a_town_it_is_the_episode_with_most_encounters_and_nothing_is_drawn()
     scout = env.get_wrapper_attr("scout")
     assert "images" not in scout._env.observation_space.spaces
     counts = {seed: scout.encounters(seed) for seed in (derive_seed(4, "T2", "low", 2, one) for one in range(4))}
-    (chosen,) = scout._chosen.values()
-    assert counts[chosen] == max(counts.values()) > min(counts.values())
+    assert counts[env.unwrapped.np_random_seed] == max(counts.values()) > min(counts.values())
     env.close()
