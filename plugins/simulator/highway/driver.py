@@ -1,4 +1,4 @@
-"""The rule-based driver's hands: pure pursuit along the route."""
+"""The rule-based driver's hands, pure pursuit along the route, and its patience at red lights."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ LOOK_AHEAD_TIME = 0.35
 """Seconds of travel to the point that is steered for."""
 LOOK_AHEAD = (2.0, 14.0)
 """Its least and greatest distance, metres."""
+CREEP = 3.0
+"""Slower than this, m/s, it does not draw nearer to a red light."""
+PATIENCE = -2.5
+"""But stops with this acceleration, m/s^2."""
 
 
 def pursue(x: float, y: float, length: float) -> float:
@@ -41,3 +45,17 @@ def steer(ego: EgoVehicle, tracker: RouteTracker) -> float:
     c, s = math.cos(ego.heading), math.sin(ego.heading)
     angle = pursue(dx * c + dy * s, dy * c - dx * s, ego.LENGTH)
     return float(np.clip(angle / STEERING, -1.0, 1.0))
+
+
+def wait_at_red(advice: float, speed: float, red: bool) -> float:
+    """An acceleration (m/s^2) that has a slow driver stop, and one who stands wait, where it is told of a red light.
+
+    Whoever has stopped too early could as well go up to the line, and whose front is past it should go on. But neither
+    can be told from what is observed: who copied that advice would creep over the line.
+
+    Args:
+        advice: m/s^2, as it would be without.
+        speed: of the ego, m/s.
+        red: whether the light that is observed is red.
+    """
+    return min(advice, PATIENCE) if red and speed < CREEP else advice

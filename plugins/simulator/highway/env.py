@@ -29,7 +29,7 @@ from me3bev_plugins.simulator.highway.rig import surround_rig
 from me3bev_plugins.simulator.highway.roads import TownRoad, road_network
 from me3bev_plugins.simulator.highway.route_sampling import random_route
 from me3bev_plugins.simulator.highway.routes import Route, RouteTracker
-from me3bev_plugins.simulator.highway.scene import Scene
+from me3bev_plugins.simulator.highway.scene import Light, Scene
 from me3bev_plugins.simulator.highway.simulator import HighwayConfig
 from me3bev_plugins.simulator.highway.situation import Situation, assess, step_record
 from me3bev_plugins.simulator.highway.stock import AbstractEnv
@@ -231,6 +231,7 @@ class TownEnv(AbstractEnv):  # type: ignore[misc]  # highway-env has no types
     def autopilot(self) -> NDArray[np.float32]:
         """The action (2,) of a careful, law-abiding driver that follows the route."""
         advice = self._traffic.advise(self.vehicle.pose, self._tracker.path)
+        advice = driver.wait_at_red(advice, self.vehicle.speed, self.situation.light == Light.RED)
         return np.array([driver.steer(self.vehicle, self._tracker), longitudinal_of(advice)], np.float32)
 
     def pose(self) -> tuple[float, float, float]:
