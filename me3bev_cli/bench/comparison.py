@@ -7,6 +7,7 @@ take, from what they took on the machine of `COSTS`. No torch here.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shlex
 import subprocess
@@ -52,11 +53,22 @@ class Part:
     """Runs, or files that are there when it is finished."""
     seconds: float
     """On the cores that it uses."""
+    made_from: tuple[Path, ...] = ()
+    """Files; when one of them is newer than what was made, it is made again."""
+    episodes: int | None = None
+    """What an evaluation drove of each map and density."""
 
     @property
     def done(self) -> bool:
-        """Whether everything that it makes is there."""
-        return all(path.is_file() or (path.is_dir() and finished(path)) for path in self.makes)
+        """Whether everything that it makes is there, as it is asked for."""
+        there = all(path.is_file() or (path.is_dir() and finished(path)) for path in self.makes)
+        return there and not self._outdated()
+
+    def _outdated(self) -> bool:
+        if self.episodes is not None:
+            return any(json.loads(path.read_text())["episodes"] != self.episodes for path in self.makes)
+        sources = [path.stat().st_mtime_ns for path in self.made_from if path.is_file()]
+        return any(path.stat().st_mtime_ns < max(sources, default=0) for path in self.makes)
 
     @property
     def command(self) -> str:
@@ -119,7 +131,7 @@ def _evaluation(name: str, place: Path, runs: Sequence[Path], baseline: Path, co
         "eval", *named, "--reference", "all", "--baseline", str(baseline), "--paper", "--maps", "T1-T7",
         "--density", "low,high", "--episodes", str(episodes), "--workers", str(cores), "--out", str(place),
     )  # fmt: skip
-    return Part(name, words, (place / JSON,), CELLS * episodes * each / cores)
+    return Part(name, words, (place / JSON,), CELLS * episodes * each / cores, episodes=episodes)
 
 
 def _convergence(out: Path, name: str, runs: Sequence[Path]) -> Part:
@@ -135,8 +147,9 @@ def _latency(out: Path, runs: Sequence[Path]) -> Part:
 
 
 def _page(out: Path) -> Part:
-    words = ("report", str(out / "eval"), "--latency", str(out / "latency.json"), "--out", str(out / "report"))
-    return Part("the page", words, (out / "report" / "index.html",), 600)
+    shown, latency = out / "eval", out / "latency.json"
+    words = ("report", str(shown), "--latency", str(latency), "--out", str(out / "report"))
+    return Part("the page", words, (out / "report" / "index.html",), 600, made_from=(shown / JSON, latency))
 
 
 def plan_text(planned: Sequence[Part], cores: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -92,6 +93,23 @@ def test_flat_policies_are_evaluated_sooner_from_scratch_too(tmp_path: Path) -> 
     (scratch,) = [part for part in parts(tmp_path, 1, episodes=1) if part.name == "the table from scratch"]
     each = 2 * COSTS["episode"] + (2 + comparison.REFERENCES) * COSTS["flat episode"]
     assert scratch.seconds == pytest.approx(comparison.CELLS * each)
+
+
+def test_a_table_of_other_episodes_is_driven_again_and_the_page_is_made_of_the_new_one(tmp_path: Path) -> None:
+    def done(name: str, episodes: int) -> bool:
+        return {part.name: part.done for part in parts(tmp_path, 2, episodes)}[name]
+
+    table, page = tmp_path / "eval" / "results.json", tmp_path / "report" / "index.html"
+    for path in (table, page):
+        path.parent.mkdir()
+    table.write_text(json.dumps({"episodes": 25}))
+    page.write_text("<html>")
+    os.utime(page, ns=(table.stat().st_mtime_ns,) * 2)
+    assert done("the table", 25)
+    assert not done("the table", 100)
+    assert done("the page", 25)
+    os.utime(page, ns=(table.stat().st_mtime_ns - 1,) * 2)
+    assert not done("the page", 25)
 
 
 def row(method: str, place: str, metric: str, mean: float) -> dict[str, Any]:
