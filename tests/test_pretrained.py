@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -54,12 +53,9 @@ def test_it_is_a_whole_run_of_at_most_12_megabytes() -> None:
     load_model(network, box)
 
 
-def test_it_was_trained_by_the_recipe_that_is_shipped_but_for_what_the_card_names() -> None:
+def test_it_was_trained_by_the_recipe_that_is_shipped() -> None:
     shipped = resolve_recipe("small/me3bev").model_dump(mode="json")
-    card = (pretrained.box() / "MODEL_CARD.md").read_text()
-    changed = [one.key for one in differences([shipped, run_recipe(pretrained.box())])]
-    named = card[card.index("## Recipe") : card.index("## Data")]
-    assert sorted(set(re.findall(r"`([a-z_]+(?:\.[a-z0-9_]+)+)`: ", named))) == sorted(changed)
+    assert differences([shipped, run_recipe(pretrained.box())]) == []
 
 
 @pytest.mark.parametrize("recipe", ["small/me3bev", "small/me3bev_gru", "scratch/me3bev"])

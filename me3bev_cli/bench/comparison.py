@@ -66,7 +66,7 @@ class Part:
 
     def _outdated(self) -> bool:
         if self.episodes is not None:
-            return any(json.loads(path.read_text())["episodes"] != self.episodes for path in self.makes)
+            return any(json.loads(path.read_text(encoding="utf-8"))["episodes"] != self.episodes for path in self.makes)
         sources = [path.stat().st_mtime_ns for path in self.made_from if path.is_file()]
         return any(path.stat().st_mtime_ns < max(sources, default=0) for path in self.makes)
 
