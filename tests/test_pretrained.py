@@ -9,12 +9,13 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from typer.testing import CliRunner, Result
 
 from me3bev_cli import pretrained
-from me3bev_cli.evaluation.episode import load
+from me3bev_cli.evaluation.episode import Episode, load
 from me3bev_cli.main import app
 from me3bev_cli.perception.model import HEAD, load_model
 from me3bev_cli.recipe_diff import differences, run_recipe
@@ -24,7 +25,9 @@ from me3bev_cli.training.run import is_run, make_run
 from me3bev_cli.training.takeover import check_takeover
 
 CELL = json.loads((Path(__file__).parent / "pretrained_cell.json").read_text())
-"""What the shipped policy drove when it was put in the box; `machine` says where."""
+"""What the shipped policy drove: where the ego was at every so many steps, in metres."""
+NEAR = 0.25
+"""Metres. Another processor, or other instructions of the same one, adds in another order: seen to make 0.03."""
 
 
 @pytest.fixture(autouse=True)
@@ -36,11 +39,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def run(*arguments: object) -> Result:
     return CliRunner().invoke(app, [*map(str, arguments)])
-
-
-def machine() -> dict[str, str]:
-    """What floating-point results depend on."""
-    return {"torch": torch.__version__.partition("+")[0], "cpu": torch.backends.cpu.get_cpu_capability()}
 
 
 def test_it_is_a_whole_run_of_at_most_12_megabytes() -> None:
@@ -98,26 +96,26 @@ def test_nothing_is_written_into_the_box() -> None:
 
 
 def test_a_cell_is_driven_as_it_was_when_the_policy_was_shipped() -> None:
-    """To the last bit where torch and the processor's instructions are those of the record."""
+    """As the record on any processor; to the last bit on one, with another number of worker processes."""
     place, density, episodes = CELL["map"], CELL["density"], CELL["episodes"]
-    result = run("eval", "--maps", place, "--density", density, "--episodes", len(episodes), "--workers", 0)
+    options = ("--maps", place, "--density", density, "--episodes", len(episodes))
+    result = run("eval", *options, "--workers", 0)
     assert result.exit_code == 0, result.output
     assert "this is the shipped policy, `pretrained`" in result.stderr
     folder = Path("runs/pretrained/eval") / f"{place}-{density}"
-    logs = [load(path) for path in sorted((folder / "episodes/pretrained").glob("*.npz"))]
-    found = [
-        {"seed": log.seed, "steps": len(log), "ended": log.ended, "digest": digest(log.steps.tobytes())} for log in logs
-    ]
-    assert [log["seed"] for log in found] == [log["seed"] for log in episodes]
-    assert {log["ended"] for log in found} <= {"finished", "timeout"}
-    if machine() == CELL["machine"]:
-        assert found == episodes
+    logs = logs_in(folder)
+    assert [(log.seed, len(log), log.ended) for log in logs] == [(e["seed"], e["steps"], e["ended"]) for e in episodes]
+    for log, episode in zip(logs, episodes, strict=True):
+        path = np.stack([log.steps["x"], log.steps["y"]], axis=1)[:: CELL["every"]]
+        np.testing.assert_allclose(path, episode["path"], atol=NEAR)
     # Its results name it, so that a report finds it on another machine.
     assert json.loads((folder / "results.json").read_text())["run"] == "pretrained"
+    assert run("eval", *options, "--workers", 2, "--out", "again").exit_code == 0
+    assert [log.steps.tobytes() for log in logs_in(Path("again"))] == [log.steps.tobytes() for log in logs]
 
 
-def digest(data: bytes) -> str:
-    return hashlib.blake2b(data, digest_size=16).hexdigest()
+def logs_in(folder: Path) -> list[Episode]:
+    return [load(path) for path in sorted(folder.glob("**/episodes/pretrained/*.npz"))]
 
 
 def test_it_can_be_compared_filmed_and_reported() -> None:

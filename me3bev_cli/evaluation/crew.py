@@ -1,8 +1,10 @@
-"""Who drives several environments at once: a policy decides for all of them in one forward pass.
+"""Who drives several environments at once: a policy sees for all of them in one forward pass.
 
-A batch always has `ROWS` rows, and an episode's index says which row it is driven in. What a row computes depends on
-the number of rows but not on what is in the others, so an episode has the same numbers in any company: with any number
-of workers, and whichever of its neighbours are finished already.
+An episode has the same numbers in any company: with any number of workers, and whichever of its neighbours are finished
+already. Frames are encoded in batches that always have `ROWS` rows; an episode's index says which row it is driven in,
+and what a row computes depends on the number of rows but not on what is in the others. That holds of encoders, not of
+memories: a recurrent kernel packs its batch by where episodes start in it, and attention reads as far back as the
+oldest row asks for. So each row has a memory of its own and goes through it alone, a small part of the work.
 """
 
 from __future__ import annotations
@@ -16,6 +18,9 @@ from numpy.typing import NDArray
 from me3bev_cli.evaluation.drivers import Action, Driver, DriverSpec, Policy
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
+    from me3bev_cli.pipeline.memory import Embeddings
     from me3bev_cli.pipeline.network import Network
 
 ROWS = 4
@@ -55,13 +60,13 @@ class Individuals:
 
 
 class Together:
-    """A policy's mean actions for all rows, from one forward pass."""
+    """A policy's mean actions for all rows, their frames encoded in one forward pass."""
 
     def __init__(self, network: Network) -> None:
         import torch
 
         self.network = network.eval()
-        self.state = network.initial_state(ROWS)
+        self.states = [network.initial_state(1) for _ in range(ROWS)]
         self.starts = torch.ones(ROWS, dtype=torch.bool, device=network.device)
         self.batch: dict[str, NDArray[Any]] = {}
         """What each row has seen last, (ROWS, ...)."""
@@ -81,11 +86,17 @@ class Together:
             for key, value in observation.items():
                 self.batch[key][row] = value
         with torch.inference_mode():
-            tensors = to_tensors(self.batch, self.network.device)
-            decision, self.state = self.network.step(tensors, self.state, self.starts)
-            actions = decision.actions.mode().clamp(-1.0, 1.0).float().cpu().numpy()
+            embeddings = self.network.encode(to_tensors(self.batch, self.network.device))
+            chosen = torch.cat([self._decide(row, embeddings) for row in seen])
+            actions = chosen.clamp(-1.0, 1.0).float().cpu().numpy()
         self.starts = torch.zeros_like(self.starts)
-        return {row: actions[row] for row in seen}
+        return dict(zip(seen, actions, strict=True))
+
+    def _decide(self, row: int, embeddings: Embeddings) -> Tensor:
+        """The mean action (1, 2) of a row, whose memory goes on."""
+        mine = {name: embedding[row : row + 1] for name, embedding in embeddings.items()}
+        decision, self.states[row] = self.network.advance(mine, self.states[row], self.starts[row : row + 1])
+        return decision.actions.mode()
 
 
 def make_crew(spec: DriverSpec) -> Crew:

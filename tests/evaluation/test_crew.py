@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,10 +22,14 @@ TINY = (
 )  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=["window", "stream"])
+CONTEXTS = {"window": "{kind: window, length: 3}", "stream": "{kind: stream}"}
+MEMORIES = ("mamba", "gru", "lstm", "transformer")
+
+
+@pytest.fixture(scope="module", params=itertools.product(CONTEXTS, MEMORIES), ids="-".join)
 def crew(request: pytest.FixtureRequest) -> Together:
-    context = {"window": "{kind: window, length: 3}", "stream": "{kind: stream}"}[request.param]
-    recipe = resolve_recipe("small", [*TINY, f"context={context}"])
+    context, memory = request.param
+    recipe = resolve_recipe("small", [*TINY, f"context={CONTEXTS[context]}", f"temporal={{name: {memory}}}"])
     found = make_crew(DriverSpec("untrained", "untrained", recipe=recipe))
     assert isinstance(found, Together)
     return found
@@ -42,8 +47,10 @@ def observations(seed: int) -> list[dict[str, NDArray[Any]]]:
     ]
 
 
-def drive(crew: Together, row: int, episode: list[Any], others: Mapping[int, list[Any]], before: int = 0) -> bytes:
-    """The actions of an episode in a row, with other episodes in other rows, which began some steps earlier."""
+def drive(
+    crew: Together, row: int, episode: list[Any], others: Mapping[int, list[Any]], before: int = 0, again: int = -1
+) -> bytes:
+    """The actions of an episode in a row, with others in other rows, which began some steps earlier, and once again."""
     for other in others:
         crew.begin(other, None, 0)
     for step in range(before):
@@ -51,6 +58,9 @@ def drive(crew: Together, row: int, episode: list[Any], others: Mapping[int, lis
     crew.begin(row, None, 0)
     actions = []
     for step in range(STEPS):
+        if step == again:
+            for other in others:
+                crew.begin(other, None, 0)
         seen = {other: seen[(before + step) % STEPS] for other, seen in others.items()}
         actions.append(crew.act({**seen, row: episode[step]}, {})[row])
     return np.stack(actions).tobytes()
@@ -63,6 +73,7 @@ def test_company_changes_no_bit(crew: Together, row: int) -> None:
     alone = drive(crew, row, mine, {})
     assert drive(crew, row, mine, {other: observations(10 + other) for other in rest}) == alone
     assert drive(crew, row, mine, {rest[0]: observations(20)}, before=2) == alone
+    assert drive(crew, row, mine, {rest[1]: observations(21)}, before=1, again=2) == alone
     assert drive(crew, row, observations(1), {}) != alone
 
 
