@@ -46,7 +46,7 @@ COSTS = {
     "episode": 1.9,
     "flat episode": 0.5,
 }
-"""Seconds of one core of a shared Xeon (from scratch: EPYC) with AVX-512: of a perception stage, of the stages after it,
+"""Seconds of one core of a shared Xeon (from scratch: EPYC) with AVX-512: of a perception stage, of those after it,
 of a recipe that has none, both again by PPO alone, of an episode."""
 
 
